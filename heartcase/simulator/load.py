@@ -22,10 +22,10 @@ from heartcase.simulator.surface.tissue_inside import tissue_inside
 
 __all__ = ["Case", "Need", "ScanVolume", "load_case"]
 
-Need = Literal["grid", "surface", "tangents", "colours", "picking", "tissue", "scan", "structures"]
+Need = Literal["grid", "surface", "tangents", "colours", "picking", "tissue", "scan", "structures", "cell_labels"]
 """Parts of a scene: the lattice (always), the visible surface, its tangents for normal mapping, the colour of its
 triangles, the one-to-one surface, where in its cells the tissue lies that blades cut, the scan for slices, the
-structure of each triangle, to show and hide."""
+structure of each triangle, to show and hide, the label of each cell, to show it cut open."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,8 @@ class Case:
     """The scan, where it was asked for."""
     triangle_structures: UInt8 | None = None
     """Label whose colour each triangle has, shape (triangle_count,), where they were asked for."""
+    cell_labels: UInt8 | None = None
+    """Tissue label that fills most of each cell, shape (cell_count,), where they were asked for."""
 
 
 def load_case(
@@ -122,6 +124,7 @@ def load_case(
         else None,
         scan=_scan(bundle) if "scan" in needs else None,
         triangle_structures=_triangle_structures(bundle, level) if "structures" in needs else None,
+        cell_labels=bundle.arrays(FileRole.GRID, ("cell_label",))["cell_label"] if "cell_labels" in needs else None,
     )
 
 

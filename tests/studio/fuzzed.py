@@ -79,6 +79,8 @@ def request(drawn, middle):
             {"do": "redo"},
             {"do": "suggest", "count": 2},
             {"do": "planes"},
+            {"do": "picture", "position_mm": points[0]},
+            {"do": "confirm", "position_mm": points[0], "label": label, "rival": "background"},
             {"do": "lock", "label": label, "locked": drawn.choice((True, False))},
         ]
     )

@@ -1,9 +1,14 @@
 """Locked structures and states of structures, through the studio's server."""
 
+import base64
+import io
 import threading
 
 import numpy as np
 import pytest
+import SimpleITK
+from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe
@@ -94,3 +99,53 @@ def test_states_are_told_when_it_is_quiet_and_no_stroke_waits_for_them(recipe, m
         may_end.set()
         assert talker.hear("states")["states"]["pulmonary artery"] != "nothing"
         assert len(told(talker, "states")) == 1
+
+
+def test_a_place_that_is_right_does_not_come_again_also_after_a_restart(tmp_path):
+    # rough ground: many places are in doubt
+    values = gaussian_filter(np.random.default_rng(5).normal(size=(14, 16, 40)), 1.5)
+    image = SimpleITK.GetImageFromArray((1e4 * values).astype(np.int16))
+    image.SetSpacing((2.0, 2.0, 2.0))
+    SimpleITK.WriteImage(image, str(tmp_path / "scan.nii.gz"))
+    path = tmp_path / "painted.toml"
+    path.write_text('heartcase_recipe = 1\nname = "rough"\n[scan]\npath = "scan.nii.gz"\nmodality = "MR"\n')
+    middle, other = [10.0, 8.0, 6.0], [66.0, 24.0, 20.0]
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        talker.ask(do="paint", label="background", radius_mm=1.0, points_mm=[other])
+        talker.ask(do="end")
+        text = path.read_text()
+        found = talker.ask(do="suggest", count=20)["places"]
+        assert found
+        place = {key: found[0][key] for key in ("position_mm", "label", "rival")}
+        assert talker.ask(do="confirm", **place)["kind"] == "done"
+        left = talker.ask(do="suggest", count=20)["places"]
+        assert place["position_mm"] not in [one["position_mm"] for one in left]
+        assert path.read_text() == text
+        said = talker.ask(do="confirm", **(place | {"label": "spleen"}))["problems"]
+        assert said == [{"place": "confirm", "message": "there is no label 'spleen'"}]
+    with studio(path) as browser, page(browser) as talker:
+        assert talker.ask(do="suggest", count=20)["places"] == left
+    # a file that is damaged is as if it were not there
+    (file,) = path.parent.rglob("*.right.json")
+    file.write_text('{"right": [{"position_mm": "x"}]}')
+    with studio(path) as browser, page(browser) as talker:
+        assert talker.ask(do="suggest", count=20)["places"] == found
+
+
+def test_a_picture_of_a_place_shows_scan_and_labels_around_it(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        url = talker.ask(do="picture", position_mm=middle)["url"]
+        picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))).convert("RGB")).astype(int)
+        assert picture.shape == (84, 168, 3)
+        red, green, blue = np.moveaxis(picture, -1, 0)
+        for half in (slice(0, 84), slice(84, 168)):
+            # the aorta is red, and lies in the middle of both planes
+            assert (red - blue)[40:44, half].max() > 30
+            assert (red - green)[40:44, half].max() > 30
+        far = talker.ask(do="picture", position_mm=[1e5, 0.0, 0.0])["url"]
+        assert far.startswith("data:image/png;base64,")

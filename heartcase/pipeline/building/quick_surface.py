@@ -134,7 +134,9 @@ def _as_in_recipe(problem: Problem, ends: Sequence[int]) -> Problem:
 def _structures(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke]) -> Structures:
     walls = recipe.walls_to_grow
     painted = (*recipe.strokes, *strokes)
-    places = open_places(painted, recipe.landmarks, recipe.table) if walls.septa == "grown" else ()
+    places = (
+        open_places(painted, recipe.landmarks, recipe.table, recipe.walls.contact) if walls.septa == "grown" else ()
+    )
     return apply_edits(grow_walls(segmentation, walls, recipe.ends, open_places=places), recipe.edits)
 
 

@@ -161,6 +161,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     from heartcase.pipeline.formats.write_images import segmentation_nrrd_bytes
     from heartcase.pipeline.image.scan_part import scan_part
     from heartcase.pipeline.walls.grow_walls import structure_volumes_ml
+    from heartcase.pipeline.walls.grown_places import judged_places
 
     scan, grid, structures, surface = results.scan, results.grid, results.structures, results.surface
     grid_map, filtered = results.grid_map, results.filtered
@@ -170,6 +171,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     quality: dict[str, Any] = {}
     volumes_ml: dict[int, float] = {}
     openings: tuple[Opening, ...] = ()
+    septa: list[dict[str, Any]] = []
     labels: Segmentation | None = None
     rendered = (surface, *surface.levels) if surface is not None and Part.RENDER in recipe.parts else ()
     # Compressing the normal maps takes one thread, and as long as the kernels that measure take both.
@@ -186,12 +188,24 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
             recipe.landmarks,
             strokes=recipe.strokes,
             connected=recipe.walls.connected,
+            contacts=recipe.walls.contact,
         )
         quality["volumes_ml"] = {structures.table[value].name: round(ml, 3) for value, ml in volumes_ml.items()}
         quality["openings"] = opening_figures(openings)
         told["cut"] = (*cut_warnings(labels, whole=results.whole, ends=structures.vessel_ends), *told["cut"])
         told["openings"] = opening_warnings(openings)
-        told["structures"] = with_edit_names(structures.warnings, recipe.edits)
+        septa, of_septa = judged_places(
+            structures.quality.get("septa", ()),
+            openings,
+            recipe.walls.contact,
+            structures.table,
+            structures.geometry.voxel_volume_mm3 ** (1.0 / 3.0),
+        )
+        # the walls stage did not know of edits, nor of what a person said
+        others = with_edit_names(structures.warnings, recipe.edits)
+        told["structures"] = [
+            told_now for one in others for told_now in (of_septa if one.code == "grown-septum" else (one,))
+        ]
         if surface is not None:
             surface = with_rims(surface, openings, structures.geometry)
     else:
@@ -203,6 +217,8 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     shown = (surface, *surface.levels) if surface is not None else ()
     outputs = {"walls": structures, "grid": grid, "surface": surface, "map": grid_map}
     quality |= {stage: output.quality for stage, output in outputs.items() if output is not None and output.quality}
+    if septa:
+        quality["walls"] = {**quality["walls"], "septa": septa}
     if grid_map is not None and surface is not None:
         pairs = zip(shown[1:], grid_map.levels, strict=True)
         quality["levels"] = [{"surface": one.quality, "map": tie.quality} for one, tie in pairs]

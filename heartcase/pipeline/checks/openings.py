@@ -21,12 +21,13 @@ from scipy.spatial import cKDTree
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.fields.contacts import Contact, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.edit_settings import Edit, SeptalDefect, edit_place
-from heartcase.schemas.recipe.settings import Stroke
+from heartcase.schemas.recipe.settings import ContactPlace, Stroke
 from heartcase.schemas.terms import Term, term_by_name
 
 __all__ = [
@@ -191,6 +192,16 @@ class Opening:
         """Whether a person must look at it."""
         return self.is_too_large or self.is_odd_size or self.verdict not in (Verdict.EXPECTED, Verdict.STATED)
 
+    def holds(self, points_mm: Float64, margin_mm: float) -> Bool:
+        """Which points, world mm, shape (n, 3), lie within the place that states it, or so near; none if none does."""
+        none: Bool = np.zeros(len(points_mm), np.bool_)
+        return none if self.statement is None else self.statement.covers(points_mm, margin_mm)
+
+    @property
+    def reach_mm(self) -> float:
+        """Distance from its centre to its farthest face, mm."""
+        return float(np.linalg.norm(self.points_mm - self.center_mm, axis=1).max(initial=0.0))
+
     def has_rim_at(self, points_mm: Float64, normals: Float64, reach_mm: float) -> Bool:
         """Which points of the tissue's border are its rim: near its faces, or on the wall of the canal it was cut by.
 
@@ -216,6 +227,7 @@ def find_openings(
     *,
     strokes: Sequence[Stroke] = (),
     connected: Sequence[tuple[str, str]] = (),
+    contacts: Sequence[ContactPlace] = (),
 ) -> tuple[Opening, ...]:
     """Find every place where two labels of blood or vessel lumen touch with no tissue between.
 
@@ -234,6 +246,8 @@ def find_openings(
         The recipe's strokes: those of two cavities that run into each other state an opening between them there.
     connected
         Names of pairs that the recipe says are open to each other, wherever they touch.
+    contacts
+        Places of ``walls.contact``: those that are open state an opening between their two.
 
     Returns
     -------
@@ -246,6 +260,7 @@ def find_openings(
         *_stated_by_edits(edits),
         *_stated_by_landmarks(landmarks),
         *_stated_by_strokes(strokes, labels.table),
+        *_stated_by_contacts(contacts, labels.table),
         *_stated_by_pairs(connected, labels.table),
     )
     contact = find_contact(structures, labels, [one.line_mm for one in statements if one.axis is not None])
@@ -296,6 +311,9 @@ def opening_figures(openings: Sequence[Opening]) -> list[dict[str, Any]]:
             figure["stated_by"] = one.stated_by
         if one.asked_mm2 is not None:
             figure["asked_mm2"] = round(one.asked_mm2, 1)
+        if one.verdict not in (Verdict.EXPECTED, Verdict.STATED):
+            # what has to be said to state it
+            figure["reach_mm"] = round(one.reach_mm, 1)
         figures.append(figure)
     return figures
 
@@ -405,51 +423,41 @@ def _stated_by_pairs(pairs: Sequence[tuple[str, str]], table: LabelTable) -> Ite
         yield _Statement("walls.connected", np.zeros(3), math.inf, values=(low, high))
 
 
+def _stated_by_contacts(places: Sequence[ContactPlace], table: LabelTable) -> Iterator[_Statement]:
+    for number, one in enumerate(places, start=1):
+        if one.is_open:
+            low, high = sorted(table[name].value for name in one.between)
+            yield _Statement(f"walls.contact[{number}]", np.array(one.position_mm), one.radius_mm, values=(low, high))
+
+
 def _warnings_of(one: Opening) -> Iterator[CaseWarning]:
-    place, places = f"({', '.join(f'{value:.1f}' for value in one.center_mm)}) mm", (one.center_mm,)
-    pieces = f" in {one.patches} patches, the largest" if one.patches > 1 else ""
-    where = f"{one.names[0]} and {one.names[1]} are open to each other over {_area(one.area_mm2)}{pieces} near {place}"
+    places = (one.center_mm,)
+    said = {
+        "one": one.names[0],
+        "other": one.names[1],
+        "area": _number(one.area_mm2),
+        "patches": one.patches if one.patches > 1 else None,
+        "place": f"({', '.join(f'{value:.1f}' for value in one.center_mm)})",
+    }
     if one.verdict is Verdict.UNEXPECTED:
-        yield anatomy(
-            f"{where}: paint the wall between them (a stroke of background, or of the muscle), or the third cavity "
-            "whose blood they were given, if one lies there; or name the two in [[walls.septum]], so that one is "
-            "grown; or, if the patient has this opening, say so: an edit of kind septal_defect, or a landmark (point "
-            "or ring) there whose name says defect, VSD or ASD",
-            code="opening-unexpected",
-            places_mm=places,
-        )
+        code = "opening-unexpected"
+        yield anatomy(sentence(code, **said), code=code, places_mm=places)
     elif one.verdict is Verdict.OTHER_VENTRICLE:
-        yield CaseWarning(
-            f"{where}: the great artery arises from the other ventricle; is that the malformation?",
-            code="opening-other-ventricle",
-            places_mm=places,
-        )
+        code = "opening-other-ventricle"
+        yield CaseWarning(sentence(code, **said), code=code, places_mm=places)
     elif one.verdict is Verdict.UNKNOWN:
-        yield CaseWarning(
-            f"{where}: a name that heartcase does not know, so look whether a wall belongs between them",
-            code="opening-unknown",
-            places_mm=places,
-        )
+        code = "opening-unknown"
+        yield CaseWarning(sentence(code, **said), code=code, places_mm=places)
     elif one.is_odd_size and one.usual_mm is not None:
-        size = "narrow" if one.diameter_mm < one.usual_mm else "wide"
-        yield CaseWarning(
-            f"{where}, as a circle of {one.diameter_mm:.0f} mm: very {size} for this valve, where about "
-            f"{one.usual_mm:.0f} mm is usual with ventricles of this volume; check that the labels of the two meet at "
-            "the valve and that neither has taken a part of the other, or that this is the malformation",
-            code="valve-size",
-            places_mm=places,
-        )
+        kind = "valve-narrow" if one.diameter_mm < one.usual_mm else "valve-wide"
+        text = sentence(kind, **said, diameter=f"{one.diameter_mm:.0f}", usual=f"{one.usual_mm:.0f}")
+        yield CaseWarning(text, code="valve-size", places_mm=places)
     elif one.verdict is Verdict.STATED:
-        asked = "" if one.asked_mm2 is None else f", which asks for {_area(one.asked_mm2)}"
-        if one.is_too_large:
-            yield CaseWarning(
-                f"{where}, at {one.stated_by}{asked}: the wall around the defect may be missing as well",
-                code="opening-too-large",
-                places_mm=places,
-            )
-        else:
-            yield note(f"{where}, as stated by {one.stated_by}{asked}", code="opening-stated", places_mm=places)
+        code = "opening-too-large" if one.is_too_large else "opening-stated"
+        asked = None if one.asked_mm2 is None else _number(one.asked_mm2)
+        text = sentence(code, **said, by=one.stated_by, asked=asked)
+        yield (CaseWarning if one.is_too_large else note)(text, code=code, places_mm=places)
 
 
-def _area(area_mm2: float) -> str:
-    return f"{area_mm2:,.0f} mm²" if area_mm2 >= 10.0 else f"{area_mm2:.1f} mm²"
+def _number(area_mm2: float) -> str:
+    return f"{area_mm2:,.0f}" if area_mm2 >= 10.0 else f"{area_mm2:.1f}"

@@ -83,6 +83,12 @@ class Contact:
         """The two labels of each face, the lower first, shape (n, 2)."""
         return np.sort(np.stack([self.first, self.second], axis=1), axis=1)
 
+    def patches(self) -> list[Contact]:
+        """Its pieces that do not touch, in the order of their first faces; there must be at least one face."""
+        neighbours = cKDTree(self.index).query_pairs(NEIGHBOUR, output_type="ndarray")
+        count, patch = connected_components(_graph(neighbours, len(self.index)), directed=False)
+        return [self[patch == n] for n in range(count)]
+
     def extent(self) -> Extent:
         """Measure the faces together; there must be at least one, and all of one pair."""
         neighbours = cKDTree(self.index).query_pairs(NEIGHBOUR, output_type="ndarray")

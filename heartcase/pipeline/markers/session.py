@@ -23,7 +23,7 @@ from heartcase.schemas.recipe.settings import SegmentSettings, Stroke
 
 if TYPE_CHECKING:
     from heartcase.pipeline.markers.states import StillSegmentation
-    from heartcase.pipeline.markers.suggest import StrokePlaces
+    from heartcase.pipeline.markers.suggest import RightPlace, StrokePlaces
 
 __all__ = ["SegmentationSession"]
 
@@ -95,6 +95,7 @@ class SegmentationSession:
         self._undone: list[Stroke] = []
         self._changed: Box | None = None
         self._locks = Locks((), self._forest.labels)
+        self.right_places: tuple[RightPlace, ...] = ()
         # the lists that a first stroke would otherwise wait for
         _ = tree.voxels, tree.neighbours, tree.hanging
 
@@ -368,7 +369,7 @@ class SegmentationSession:
         forest.settle()
         names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
         copies = {name: getattr(forest, name).copy() for name in names}
-        return StillSegmentation(replace(forest, **copies), self.geometry, self.table)
+        return StillSegmentation(replace(forest, **copies), self.geometry, self.table, self.right_places)
 
     @property
     def marked(self) -> UInt8:
@@ -409,7 +410,7 @@ class SegmentationSession:
 
         self._check_that_anything_is_marked()
         self._forest.settle()
-        return suggest_strokes(self._forest, self.geometry, count=count)
+        return suggest_strokes(self._forest, self.geometry, count=count, right=self.right_places)
 
     def _check_that_anything_is_marked(self) -> None:
         # with a marker anywhere every basin has a label

@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.markers.suggest import StrokePlaces, suggest_strokes
+from heartcase.pipeline.markers.suggest import RightPlace, StrokePlaces, suggest_strokes
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
@@ -44,6 +44,8 @@ class StillSegmentation:
     """Its lattice."""
     table: LabelTable
     """What may be painted."""
+    right: tuple[RightPlace, ...] = ()
+    """Places that somebody found right: they make nothing unsure."""
 
 
 def structure_states(still: StillSegmentation, *, places: StrokePlaces | None = None) -> dict[int, StructureState]:
@@ -73,7 +75,7 @@ def structure_states(still: StillSegmentation, *, places: StrokePlaces | None = 
     if len(marked) < 2:
         return states
     if places is None:
-        places = suggest_strokes(forest, still.geometry, count=PLACE_COUNT)
+        places = suggest_strokes(forest, still.geometry, count=PLACE_COUNT, right=still.right)
     volumes = forest.label_counts() * (still.geometry.voxel_volume_mm3 / 1000.0)
     for value in sorted(marked & set(states)):
         worth = sum(place.worth_ml for place in places.places if value in (place.label, place.rival))

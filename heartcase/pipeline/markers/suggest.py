@@ -13,8 +13,9 @@ unsure as can be, as nobody marks it. ``heartcase bench segment-confidence`` mea
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import edt
 import numpy as np
@@ -30,7 +31,7 @@ from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 
-__all__ = ["DISTANCE_POWER", "DOUBT_POWER", "SURE", "StrokePlace", "StrokePlaces", "suggest_strokes"]
+__all__ = ["DISTANCE_POWER", "DOUBT_POWER", "SURE", "RightPlace", "StrokePlace", "StrokePlaces", "suggest_strokes"]
 
 
 SURE = 0.5
@@ -67,6 +68,17 @@ class StrokePlace:
     def confidence(self) -> float:
         """Confidence of the place, 0 to 1, as :mod:`heartcase.pipeline.markers.confidence` has it for the report."""
         return 1.0 - self.worth_ml / min(self.change_ml, LARGE_ML)
+
+
+class RightPlace(NamedTuple):
+    """A place that somebody looked at and found right as it is."""
+
+    position_mm: tuple[float, float, float]
+    """That of the place when it was named, LPS mm."""
+    label: int
+    """Label that it had, and has rightly."""
+    rival: int
+    """The other label that it might have had."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +126,7 @@ def suggest_strokes(
     count: int = 5,
     apart_mm: float = 10.0,
     feet: FootCertainty | None = None,
+    right: Sequence[RightPlace] = (),
 ) -> StrokePlaces:
     """Find the places where one more stroke would change most.
 
@@ -129,6 +142,9 @@ def suggest_strokes(
         Least distance between two of them. No voxel would be changed at two of them.
     feet
         The forest's :func:`heartcase.pipeline.watershed.certainty.foot_certainty`, where it is at hand.
+    right
+        Places that were found right. While such a voxel has its label, what would change with it is not named, and no
+        place of the same two labels less than ``apart_mm`` from it.
     """
     feet = feet or foot_certainty(forest)
     pieces = forest_pieces(forest)
@@ -136,7 +152,7 @@ def suggest_strokes(
     root_mm = _positions_mm(forest.tree.root[found.basin], geometry)
     places: list[StrokePlace] = []
     taken = np.zeros(len(pieces.level), np.bool_)
-    open_to_choice = np.ones(len(found.basin), np.bool_)
+    open_to_choice = ~_are_right(forest, feet, pieces, found.basin, root_mm, geometry, right, apart_mm)
     for n in np.lexsort((found.basin, -found.worth)).tolist():
         if len(places) == count:
             break
@@ -163,6 +179,30 @@ def suggest_strokes(
             )
         )
     return StrokePlaces(tuple(places), float(found.worth[open_to_choice].max(initial=0.0)))
+
+
+def _are_right(
+    forest: Forest,
+    feet: FootCertainty,
+    pieces: ForestPieces,
+    basin: Int64,
+    root_mm: Float64,
+    geometry: Geometry,
+    right: Sequence[RightPlace],
+    apart_mm: float,
+) -> Bool:
+    """Which basins somebody found right."""
+    found = np.zeros(len(basin), np.bool_)
+    shape = forest.labels.shape
+    for one in right:
+        index = np.rint(geometry.world_to_index(one.position_mm)[::-1]).astype(np.int64)
+        if (index < 0).any() or (index >= shape).any() or forest.labels[tuple(index)] != one.label:
+            continue
+        same = pieces.piece[basin[forest.tree.root[basin] == np.ravel_multi_index(tuple(index), shape)]]
+        found |= np.isin(pieces.piece[basin], same)
+        near = ((root_mm - one.position_mm) ** 2).sum(axis=1) < apart_mm**2
+        found |= near & (forest.foot_label[basin] == one.label) & (feet.rival[basin] == one.rival)
+    return found
 
 
 def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geometry: Geometry) -> _Candidates:

@@ -18,7 +18,7 @@ from heartcase.schemas.recipe.recipe import Recipe
 
 __all__ = ["hand_work_facts", "region_words"]
 
-_TOLD_APART = {"method", "ranges", "file", "names", "automatic", "connected", "septum", "find_ends"}
+_TOLD_APART = {"method", "ranges", "file", "names", "automatic", "connected", "septum", "contact", "find_ends"}
 
 
 def hand_work_facts(recipe: Recipe, scan: Scan | None = None, *, rules: SettingRules | None = None) -> list[Fact]:
@@ -168,6 +168,10 @@ def _settings(recipe: Recipe, rules: SettingRules | None) -> Iterator[Fact]:
     for septum in recipe.walls.septum:
         pair = " and ".join(septum.between)
         yield Fact(f"Kept apart: {pair}", f"{septum.thickness_mm:g} mm", "Where their outlines touch.")
+    for place in recipe.walls.contact:
+        words = "an opening of the patient" if place.is_open else "wall, as a person said who looked at it"
+        pair = " and ".join(place.between)
+        yield Fact(f"Outlines touch: {pair}", words, f"Within {place.radius_mm:g} mm of {placed(place.position_mm)}.")
     default = type(recipe.materials)()
     materials = {"all tissue": recipe.materials} | dict(recipe.materials.labels)
     for name, one in materials.items():

@@ -17,7 +17,7 @@ def _open_places(recipe: Recipe) -> Any:
 
     if recipe.walls_to_grow.septa != "grown":
         return ()
-    return open_places(recipe.strokes, recipe.landmarks, recipe.table)
+    return open_places(recipe.strokes, recipe.landmarks, recipe.table, recipe.walls.contact)
 
 
 def _settings(work: Work) -> dict[str, Any]:
@@ -26,6 +26,8 @@ def _settings(work: Work) -> dict[str, Any]:
     if not walls.find_ends:
         # a setting that came later: what does not use it keeps its records
         settings.pop("find_ends")
+    # open ones are among the open places; the others change no wall
+    settings.pop("contact")
     places = _open_places(work.recipe)
     if places:
         # not what a landmark is called, nor a stroke that opens nothing
@@ -43,7 +45,7 @@ def _compute(work: Work) -> Structures:
 
 STAGE = Stage(
     name="walls",
-    version=14,
+    version=15,
     title="distance fields and walls",
     deed="grow the walls",
     subject="walls and outlines",

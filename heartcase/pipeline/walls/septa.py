@@ -20,11 +20,12 @@ from heartcase.pipeline.checks.openings import POINT_REACH_MM, Verdict, root_of_
 from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
 from heartcase.pipeline.fields.contacts import Contact, Extent, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
-from heartcase.pipeline.warnings import LISTED_BETWEEN, CaseWarning
+from heartcase.pipeline.walls.grown_places import ContactPatch, grown_warnings, patches_of
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.arrays import Bool, Float64, UInt8
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.landmarks import Landmark
-from heartcase.schemas.recipe.settings import Stroke, WallsSettings
+from heartcase.schemas.recipe.settings import ContactPlace, Stroke, WallsSettings
 from heartcase.schemas.terms import Term, term_by_name
 
 __all__ = [
@@ -160,19 +161,32 @@ class SeptumFigures:
     septum: Septum
     extent: Extent
     """The contact on both sides of which it was grown, without the openings that the recipe states in it."""
+    places: tuple[ContactPatch, ...] = ()
+    """Its patches that are worth a look, the largest first."""
 
 
-def open_places(strokes: Sequence[Stroke], landmarks: Sequence[Landmark], table: LabelTable) -> tuple[OpenPlace, ...]:
+def open_places(
+    strokes: Sequence[Stroke],
+    landmarks: Sequence[Landmark],
+    table: LabelTable,
+    contacts: Sequence[ContactPlace] = (),
+) -> tuple[OpenPlace, ...]:
     """Where the recipe states openings, beside its edits.
 
     A landmark whose name says so (:func:`~heartcase.pipeline.checks.openings.states_an_opening`) opens every septum
     near it: a ring a canal of its radius, a point a ball of its radius or of
     :data:`~heartcase.pipeline.checks.openings.POINT_REACH_MM`. Strokes of two cavities that run into each other open
-    the septum between these two along both lines, as wide as the narrower brush.
+    the septum between these two along both lines, as wide as the narrower brush. A place of ``walls.contact`` that is
+    open is a ball between its two.
     """
     places = [_of_landmark(landmark) for landmark in landmarks if states_an_opening(landmark)]
     for one in meetings_of(strokes, table):
         places += [OpenPlace("strokes", tube, one.radius_mm, one.values) for tube in one.tubes_mm]
+    places += [
+        OpenPlace("strokes", (one.position_mm,), one.radius_mm, _values(table, one.between))
+        for one in contacts
+        if one.is_open
+    ]
     return tuple(places)
 
 
@@ -224,7 +238,7 @@ def with_septa(
     for one in septa:
         closed = _closed(contact[(contact.pairs == (one.first, one.second)).all(axis=1)], places, voxel_mm)
         if closed is not None:
-            figures.append(SeptumFigures(one, closed.extent()))
+            figures.append(SeptumFigures(one, closed.extent(), patches_of(closed)))
     return grown, tuple(figures)
 
 
@@ -330,25 +344,7 @@ class _Meetings:
 
 def septum_warnings(figures: Sequence[SeptumFigures], table: LabelTable) -> tuple[CaseWarning, ...]:
     """What a person must look at: walls that nobody saw, the largest first."""
-    if not figures:
-        return ()
-    ordered = sorted(figures, key=lambda one: -one.extent.area_mm2)
-    listed = tuple(
-        f"{table[one.septum.first].name} and {table[one.septum.second].name} over {_area_words(one.extent)} "
-        f"({one.septum.thickness_mm:g} mm thick)"
-        for one in ordered
-    )
-    return (
-        CaseWarning(
-            "walls were grown where two outlines touch, not seen, because a heart does not join these: "
-            f"{LISTED_BETWEEN.join(listed)}. If the patient has an opening there, say so: an edit of kind "
-            "septal_defect, a landmark (ring or point) whose name says defect, VSD or ASD, or strokes of the two that "
-            "run into each other through it; if the two are one, name them in walls.connected",
-            code="grown-septum",
-            places_mm=tuple(one.extent.center_mm for one in ordered),
-            listed=listed,
-        ),
-    )
+    return grown_warnings(septum_figures(figures, table))
 
 
 def septum_figures(figures: Sequence[SeptumFigures], table: LabelTable) -> list[dict[str, Any]]:
@@ -361,6 +357,7 @@ def septum_figures(figures: Sequence[SeptumFigures], table: LabelTable) -> list[
             "area_mm2": round(one.extent.area_mm2, 1),
             "patches": one.extent.patches,
             "center_mm": [round(value, 1) + 0.0 for value in one.extent.center_mm],
+            "places": [place.figures() for place in one.places],
         }
         for one in sorted(figures, key=lambda one: (-round(one.extent.area_mm2, 1), one.septum.value))
     ]
@@ -376,12 +373,6 @@ def _closed(contact: Contact, places: Sequence[OpenPlace], voxel_mm: float) -> C
             is_open |= place.holds(points)
             is_rim |= place.holds(points, voxel_mm)
     return None if is_rim.all() else contact[~is_open]
-
-
-def _area_words(extent: Extent) -> str:
-    place = ", ".join(f"{value:.1f}" for value in extent.center_mm)
-    area = f"{extent.area_mm2:,.0f}" if extent.area_mm2 >= 10.0 else f"{extent.area_mm2:.1f}"
-    return f"{area} mm² near ({place}) mm"
 
 
 def _of_landmark(landmark: Landmark) -> OpenPlace:

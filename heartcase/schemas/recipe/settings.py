@@ -213,6 +213,20 @@ class SeptumThickness(Model):
     """Thickness, mm: half of it is grown to either side of where their outlines touch."""
 
 
+class ContactPlace(Model):
+    """What a place is where the outlines of two cavities touch: a true opening, or wall."""
+
+    between: tuple[Name, Name]
+    """Names of the two cavities."""
+    position_mm: PointMm
+    """Middle of the place, LPS mm."""
+    radius_mm: PositiveMm
+    """How far it reaches: what lies within this ball is one or the other."""
+    is_open: bool
+    """Whether the patient has an opening there: no septum is grown between these two, and other septa stay. Where it is
+    false a person looked at it, and takes it for wall: the septum that is grown there is no longer warned of."""
+
+
 class WallsSettings(Model):
     """Distance fields of the structures, and walls grown outward from the cavities (thesis 11.2.3)."""
 
@@ -233,12 +247,15 @@ class WallsSettings(Model):
     septum: tuple[SeptumThickness, ...] = ()
     """Pairs of cavities that are kept apart, with the thickness of what is grown between them; other pairs follow
     from their names, and their thickness from the size of the heart."""
+    contact: tuple[ContactPlace, ...] = ()
+    """Places where outlines touch, of which a person said what they are: a true opening, or wall."""
 
     @property
     def septum_pairs(self) -> tuple[tuple[str, tuple[str, str]], ...]:
         """Place in the recipe and the two names of each pair of cavities that is named."""
         named = [(f"walls.connected[{n}]", pair) for n, pair in enumerate(self.connected, start=1)]
-        return (*named, *((f"walls.septum[{n}]", one.between) for n, one in enumerate(self.septum, start=1)))
+        named += [(f"walls.septum[{n}]", one.between) for n, one in enumerate(self.septum, start=1)]
+        return (*named, *((f"walls.contact[{n}]", one.between) for n, one in enumerate(self.contact, start=1)))
 
     def septum_problems(self, table: LabelTable) -> tuple[Problem, ...]:
         """What is wrong between the named pairs and a label table; names that are no label are left out."""
@@ -254,6 +271,9 @@ class WallsSettings(Model):
                 problems.append(Problem(place, f"{other[0]!r} is no cavity: name two labels of blood or vessel_lumen"))
             elif len(pair) == 1:
                 problems.append(Problem(place, f"{labels[0].name!r} is named twice: name two cavities"))
+            elif place.startswith("walls.contact"):
+                # two that are kept apart may touch at many places
+                continue
             elif pair in seen:
                 problems.append(Problem(place, f"these two are named in {seen[pair]} already: remove one of the two"))
             seen.setdefault(pair, place)

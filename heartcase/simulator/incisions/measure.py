@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -12,15 +13,15 @@ from heartcase.schemas.arrays import Float, Float64, Int32
 from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.incisions.directions import divided
 from heartcase.simulator.incisions.figures import IncisionFigures
-from heartcase.simulator.incisions.nearness import carried, to_vessels
+from heartcase.simulator.incisions.nearness import Carrier, to_vessels
 from heartcase.simulator.incisions.stitches import beside_measured
-from heartcase.simulator.incisions.strain import Peak, cell_strain, peak
+from heartcase.simulator.incisions.strain import Peak, Strain, cell_strain, peak
 from heartcase.simulator.incisions.surgical_freedom import Shaft, freedom_at_target_mm3, reach
-from heartcase.simulator.incisions.triangle_tree import triangle_tree
-from heartcase.simulator.incisions.visibility import View, visibility
+from heartcase.simulator.incisions.triangle_tree import TriangleTree, triangle_tree
+from heartcase.simulator.incisions.visibility import View, Visibility, visibility
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["IncisionPlan", "Scene", "measured"]
+__all__ = ["IncisionPlan", "Scene", "measured", "measured_and_seen"]
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,9 @@ class IncisionPlan:
     """Its name."""
     curve_mm: Float64
     """The incision along the surface at rest, an open curve, LPS mm, shape (count, 3)."""
-    rim_mm: Float64
-    """The defect's rim at rest, a closed curve, LPS mm, shape (count, 3)."""
+    rim_mm: Float64 | None
+    """The defect's rim at rest, a closed curve, LPS mm, shape (count, 3); without a defect nothing is said of what is
+    seen."""
     view: View
     """From where the surgeon looks."""
     shaft: Shaft
@@ -60,6 +62,24 @@ class Scene:
     opening_mm: Float64 | None = None
     """The lips as they are held now, one closed curve, LPS mm, shape (count, 3); without it no reach is worked out."""
 
+    known: Carrier | None = None
+    """What carries points with the surface, where it is known from another moment."""
+
+    @cached_property
+    def carrier(self) -> Carrier:
+        """What carries points with the surface."""
+        return self.known or Carrier(self.rest_mm)
+
+    @cached_property
+    def tree(self) -> TriangleTree:
+        """The surface now, for what is seen and reached."""
+        return triangle_tree(self.now_mm, self.triangles)
+
+    @cached_property
+    def strain(self) -> Strain:
+        """Stretch and stress of the cells."""
+        return cell_strain(self.model, self.displacement)
+
 
 def measured(
     plan: IncisionPlan,
@@ -68,8 +88,29 @@ def measured(
     retraction_n: float | None = None,
     stitch_forces_n: Sequence[float] = (),
     spacing_mm: float = 2.0,
+    reaches: bool = True,
 ) -> IncisionFigures:
-    """The figures of an incision.
+    """The figures of an incision: those of :func:`measured_and_seen`."""
+    return measured_and_seen(
+        plan,
+        scene,
+        retraction_n=retraction_n,
+        stitch_forces_n=stitch_forces_n,
+        spacing_mm=spacing_mm,
+        reaches=reaches,
+    )[0]
+
+
+def measured_and_seen(
+    plan: IncisionPlan,
+    scene: Scene,
+    *,
+    retraction_n: float | None = None,
+    stitch_forces_n: Sequence[float] = (),
+    spacing_mm: float = 2.0,
+    reaches: bool = True,
+) -> tuple[IncisionFigures, Visibility | None]:
+    """The figures of an incision, and what is seen of the defect where there is one.
 
     Parameters
     ----------
@@ -83,30 +124,33 @@ def measured(
         Force in each stitch, N, where it is closed again.
     spacing_mm
         Edge of the cubes in which places of the tip are counted, mm.
+    reaches
+        Whether the reach of the tip is worked out: it takes ten times as long as all else.
 
     Raises
     ------
     SimulationError
         A curve is none, or a number is out of range.
     """
-    tree = triangle_tree(scene.now_mm, scene.triangles)
-    rim, curve = (carried(points, scene.rest_mm, scene.now_mm) for points in (plan.rim_mm, plan.curve_mm))
-    seen = visibility(tree, rim, plan.view)
-    freedom = freedom_at_target_mm3(tree, rim.mean(axis=0), plan.shaft, tip_free_mm=plan.shaft.radius_mm)
-    reached = None
-    if scene.opening_mm is not None:
+    tree, strain = scene.tree, scene.strain
+    curve = scene.carrier.carried(plan.curve_mm, scene.now_mm)
+    seen, freedom, reached = None, None, None
+    if plan.rim_mm is not None:
+        rim = scene.carrier.carried(plan.rim_mm, scene.now_mm)
+        seen = visibility(tree, rim, plan.view)
+        freedom = freedom_at_target_mm3(tree, rim.mean(axis=0), plan.shaft, tip_free_mm=plan.shaft.radius_mm)
+    if scene.opening_mm is not None and reaches:
         reached = reach(tree, scene.opening_mm, plan.shaft, depth_mm=plan.depth_mm, spacing_mm=spacing_mm).volume_mm3
-    strain = cell_strain(scene.model, scene.displacement)
     stretch, stress = (
         peak(scene.model, scene.displacement, values[:, 0], strain.is_known)
         for values in (strain.stretches, strain.stress_kpa)
     )
-    vessels = to_vessels(_edge(scene, curve), scene.landmarks, scene.rest_mm, scene.now_mm)
-    return IncisionFigures(
+    vessels = to_vessels(_edge(scene, curve), scene.landmarks, scene.rest_mm, scene.now_mm, carrier=scene.carrier)
+    figures = IncisionFigures(
         name=plan.name,
-        rim_seen=seen.rim_seen,
-        rim_seen_best=seen.rim_seen_best,
-        solid_angle_sr=seen.solid_angle_sr,
+        rim_seen=None if seen is None else seen.rim_seen,
+        rim_seen_best=None if seen is None else seen.rim_seen_best,
+        solid_angle_sr=None if seen is None else seen.solid_angle_sr,
         freedom_mm3=freedom,
         reach_mm3=reached,
         retraction_n=retraction_n,
@@ -120,6 +164,7 @@ def measured(
         length_mm=_length_mm(plan.curve_mm),
         stitches=beside_measured(tuple(stitch_forces_n)),
     )
+    return figures, seen
 
 
 def _edge(scene: Scene, curve: Float64) -> Float64:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.incisions.directions import divided
 from heartcase.simulator.incisions.segments import nearest_triangles
 
-__all__ = ["Nearness", "carried", "to_structure", "to_vessel", "to_vessels"]
+__all__ = ["Carrier", "Nearness", "carried", "to_structure", "to_vessel", "to_vessels"]
 
 _SPACING_MM = 1.0
 """Longest piece of a curve whose distance is worked out as one, mm: it says where; the distance itself is exact."""
@@ -32,6 +32,35 @@ class Nearness:
     """About where on the curve: the middle of the nearest piece, mm, shape (3,)."""
 
 
+@dataclass(frozen=True)
+class Carrier:
+    """A surface that carries points on or near it: which vertex each goes with is looked for once."""
+
+    rest_mm: npt.NDArray[np.floating]
+    """Its vertices at rest, mm, shape (vertex_count, 3)."""
+    _nearest: dict[bytes, Int64] = field(default_factory=dict, repr=False, compare=False)
+
+    def carried(self, points_mm: npt.ArrayLike, now_mm: npt.ArrayLike) -> Float64:
+        """Where points are now: each goes the way of the vertex that was nearest to it at rest.
+
+        Parameters
+        ----------
+        points_mm
+            Points at rest, mm, shape (count, 3).
+        now_mm
+            The vertices now, mm, shape (vertex_count, 3).
+        """
+        points = np.asarray(points_mm, dtype=float).reshape(-1, 3)
+        nearest = self._nearest.get(points.tobytes())
+        if nearest is None:
+            rest = np.asarray(self.rest_mm, dtype=float)
+            nearest = np.array([np.argmin(((rest - point) ** 2).sum(axis=1)) for point in points], np.int64)
+            self._nearest[points.tobytes()] = nearest
+        now, rest = (np.asarray(one)[nearest].astype(float) for one in (now_mm, self.rest_mm))
+        moved: Float64 = points + now - rest
+        return moved
+
+
 def carried(points_mm: npt.ArrayLike, rest_mm: npt.ArrayLike, now_mm: npt.ArrayLike) -> Float64:
     """Where points on or near a surface are now: each goes the way of the vertex that was nearest to it at rest.
 
@@ -42,10 +71,8 @@ def carried(points_mm: npt.ArrayLike, rest_mm: npt.ArrayLike, now_mm: npt.ArrayL
     rest_mm, now_mm
         The surface's vertices at rest and now, mm, shape (vertex_count, 3).
     """
-    points, rest, now = (np.asarray(one, dtype=float).reshape(-1, 3) for one in (points_mm, rest_mm, now_mm))
-    nearest = [int(np.argmin(((rest - point) ** 2).sum(axis=1))) for point in points]
-    moved: Float64 = points + now[nearest] - rest[nearest]
-    return moved
+    rest, now = (np.asarray(one, dtype=float).reshape(-1, 3) for one in (rest_mm, now_mm))
+    return Carrier(rest).carried(points_mm, now)
 
 
 def to_vessel(curve_mm: npt.ArrayLike, course_mm: npt.ArrayLike, radius_mm: float, *, name: str) -> Nearness:
@@ -70,7 +97,12 @@ def to_vessel(curve_mm: npt.ArrayLike, course_mm: npt.ArrayLike, radius_mm: floa
 
 
 def to_vessels(
-    curve_mm: npt.ArrayLike, landmarks: Sequence[Landmark], rest_mm: npt.ArrayLike, now_mm: npt.ArrayLike
+    curve_mm: npt.ArrayLike,
+    landmarks: Sequence[Landmark],
+    rest_mm: npt.ArrayLike,
+    now_mm: npt.ArrayLike,
+    *,
+    carrier: Carrier | None = None,
 ) -> tuple[Nearness, ...]:
     """How near an open curve comes to each vessel among a case's landmarks, the nearest first.
 
@@ -82,9 +114,12 @@ def to_vessels(
         Landmarks of the case: those that are vessels count, such as the coronary arteries.
     rest_mm, now_mm
         Vertices of the surface that carries them, at rest and now, mm, shape (vertex_count, 3).
+    carrier
+        The same surface, where it has carried points before.
     """
+    carrier = carrier or Carrier(np.asarray(rest_mm, dtype=float).reshape(-1, 3))
     found = [
-        to_vessel(curve_mm, carried(one.points_mm, rest_mm, now_mm), one.radius_mm or 0.0, name=one.name)
+        to_vessel(curve_mm, carrier.carried(one.points_mm, now_mm), one.radius_mm or 0.0, name=one.name)
         for one in landmarks
         if one.is_vessel
     ]

@@ -10,12 +10,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
 import numba
-import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest
@@ -31,12 +31,14 @@ from heartcase.schemas.recording.commands import (
     OpenGrab,
     WithdrawProbe,
 )
+from heartcase.simulator.cutting.cuts import Cuts
+from heartcase.simulator.live.cuts_done import CutsDone, Kept, Moment
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
-from heartcase.simulator.live.tool import Held, Turn
+from heartcase.simulator.live.instrument_places import held_by, places_mm, probe_axes_mm
+from heartcase.simulator.live.tool import Held
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
-from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 
 __all__ = ["FRAME_S", "Live", "LiveFrame", "moment_of"]
@@ -45,8 +47,6 @@ FRAME_S = 1.0 / 40.0
 """Time from frame to frame where the machine keeps up, s."""
 _ACTS = get_args(Act)
 _NAVIGATION = get_args(Navigation)
-_SLOWEST = 2.5
-"""How many times longer a frame may take where it does not: the time is for steps."""
 _STEPS_LEAST = 0.4
 """Part of a frame's steps that is taken however long they take: time goes on."""
 _STEPS_DOWN, _STEPS_UP = 0.7, 1.15
@@ -62,12 +62,14 @@ class LiveFrame:
     """A moment, with all that a window or a page shows of it. Nothing of it changes later."""
 
     frame: Frame
-    """Tissue, instruments and stitches, with the visible surface."""
+    """Tissue, instruments and stitches, with the visible surface where it is wanted."""
     surface: SurfaceModel
     """What the surface's vertices follow, and its triangles."""
     triangle_origin: Int32 | None
     """Triangle of the uncut surface that each is a part of, -1 for cut faces, shape (triangle_count,); None where
     nothing is cut."""
+    tissue_cuts: Cuts | None
+    """All that was cut of the lattice; None where nothing is."""
     held: tuple[Held, ...]
     """What holds tissue."""
     probes: dict[str, Float64]
@@ -84,6 +86,10 @@ class LiveFrame:
     """Name of the folder that is recorded into."""
     act_count: int
     """Acts that are done."""
+    cuts: tuple[Cut, ...] = ()
+    """Cuts that are done, as the history has them: at rest. The same object while they are the same."""
+    unheld: Moment | None = None
+    """The surface when it was last seen cut with no instrument in it; None where it was not seen so."""
 
 
 class Live:
@@ -100,6 +106,10 @@ class Live:
         What the case says of itself, for recordings.
     frame_s
         Time from frame to frame where the machine keeps up, s.
+    slowest
+        How many times longer a frame may take where it does not: the time is for steps.
+    shows_surface
+        Whether frames have the surface; what places it itself does without.
     heard
         Called by the session's thread whenever there is a new frame, or the thread ended; it must return at once.
     """
@@ -110,12 +120,16 @@ class Live:
         *,
         manifest: CaseManifest | None = None,
         frame_s: float = FRAME_S,
+        slowest: float = 2.5,
+        shows_surface: bool = True,
         heard: Callable[[], None] = lambda: None,
     ) -> None:
         self.session = session
         self.error: BaseException | None = None
         self._manifest = manifest
         self._frame_s = frame_s
+        self._slowest = slowest
+        self._shows_surface = shows_surface
         self._heard = heard
         self._goals = Goals()
         self._leaving: dict[str, Done] = {}
@@ -132,7 +146,9 @@ class Live:
         self._part = 0.0
         self._past: deque[tuple[float, int]] = deque()
         self._act_count = self._counted = 0
-        self.newest = self._published(session.frame(surface=True))
+        self._cuts_done = CutsDone()
+        self._kept = Kept()
+        self.newest = self._published(session.frame(surface=self._shows_surface))
 
     def start(self) -> None:
         """Begin to run."""
@@ -154,6 +170,36 @@ class Live:
         """Ask for commands; they are done before the next steps. What is refused is told as a message."""
         self._ask(commands)
 
+    def asked(self, command: Done | Navigation | None) -> Future[None]:
+        """Ask for a command; what comes of it: done, or the error for which it was refused. A cut is begun.
+
+        None asks for nothing: it comes when all that was asked for before is done.
+
+        One that is cancelled before it is its turn is not done.
+        """
+        found: Future[None] = Future()
+
+        def work() -> None:
+            # Whoever asked may have given it up by now.
+            if not found.set_running_or_notify_cancel():
+                return
+            try:
+                if command is not None:
+                    self._do(command)
+            except BaseException as error:
+                found.set_exception(error)
+                if not isinstance(error, HeartcaseError):
+                    raise
+            else:
+                found.set_result(None)
+
+        self._ask([work])
+        return found
+
+    def lead(self, command: LeadGrab | MoveProbe, speed_mm_s: float) -> None:
+        """Lead an instrument there no faster than so, mm for each simulated second."""
+        self._ask([lambda: self._goals.set(command, speed_mm_s)])
+
     def pause(self, is_paused: bool) -> None:
         """Let time stand, or go on from here: then what was known ahead is dropped by the next steps."""
         self._ask([lambda: self._set_mode("paused" if is_paused else "running")])
@@ -165,6 +211,15 @@ class Live:
     def record(self, path: Path) -> None:
         """Record into a folder, from the session's start on, until :meth:`stop_recording` or :meth:`close`."""
         self._ask([lambda: self._begin_to_record(path)])
+
+    def make_cuts(self) -> None:
+        """Make the cuts that were begun, also while time stands."""
+        self._ask([lambda: self.session.make_cuts(wait=True)])
+
+    def settle(self, seconds: float) -> None:
+        """Wait until all is done that was asked for by now, but no longer than so, s."""
+        self._ask([(done := threading.Event()).set])
+        done.wait(seconds)
 
     def stop_recording(self) -> None:
         """Finish the recording."""
@@ -184,6 +239,11 @@ class Live:
     def is_leaving(self) -> bool:
         """Whether something lets go softly and is not done with it."""
         return bool(self._leaving) or bool(self._asked)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether nothing would be lost: all acts are in a recording that is finished, or there are none."""
+        return self._kept.is_all_of(self.session)
 
     def take_messages(self) -> list[str]:
         """What there is to be read since the last time."""
@@ -206,8 +266,8 @@ class Live:
             began = time.perf_counter()
             steps = self._steps_due(self._frame_s if self._ticked is None else began - self._ticked)
             self._ticked = began
-            motions = self._goals.commands(_places_mm(self.session.simulation), steps * self.session.simulation.step_s)
-            frame = self.session.take(motions, steps, surface=True)
+            motions = self._goals.commands(places_mm(self.session.simulation), steps * self.session.simulation.step_s)
+            frame = self.session.take(motions, steps, surface=self._shows_surface)
             for refusal in frame.refused:
                 self._messages.extend(str(problem) for problem in refusal.problems)
             if frame.breakdown is not None:
@@ -217,7 +277,7 @@ class Live:
             self._publish(frame)
             self._learn(time.perf_counter() - began)
         elif has_work:
-            self._publish(self.session.frame(surface=True))
+            self._publish(self.session.frame(surface=self._shows_surface))
 
     def _ask(self, what: Iterable[Done | Navigation | Callable[[], None]]) -> None:
         with self._wake:
@@ -297,7 +357,7 @@ class Live:
     def _begin_to_play(self) -> None:
         self._goals.drop()
         self._set_mode("playing")
-        self._played = self.session.play(surface=True)
+        self._played = self.session.play(surface=self._shows_surface)
 
     def _play_on(self) -> None:
         """Do again the next row of steps, in its own time."""
@@ -310,7 +370,7 @@ class Live:
             frame = None
         if frame is None:
             self._set_mode("paused")
-            frame = self.session.frame(surface=True)
+            frame = self.session.frame(surface=self._shows_surface)
         else:
             seconds = (self.session.step_count - before) * self.session.simulation.step_s
             spare = seconds - (time.perf_counter() - began) - self._frame_s
@@ -322,7 +382,7 @@ class Live:
     def _steps_due(self, elapsed_s: float) -> int:
         """How many steps the next frame takes: as much time as went by, or as many as there is time for."""
         step_s = self.session.simulation.step_s
-        most_s = _SLOWEST * self._frame_s
+        most_s = self._slowest * self._frame_s
         wanted = min(max(elapsed_s, self._frame_s), most_s) / step_s + self._part
         steps = max(1, int(min(wanted, self._steps_most)))
         self._part = min(wanted - steps, 1.0)
@@ -330,9 +390,9 @@ class Live:
 
     def _learn(self, took_s: float) -> None:
         """Let the next frame take more steps or fewer, by how long this one took with all else that it does."""
-        real_time, longest = self._frame_s / self.session.simulation.step_s, _SLOWEST * self._frame_s
+        real_time, longest = self._frame_s / self.session.simulation.step_s, self._slowest * self._frame_s
         change = min(max(longest / max(took_s, 1e-6), _STEPS_DOWN), _STEPS_UP)
-        self._steps_most = min(max(self._steps_most * change, _STEPS_LEAST * real_time), _SLOWEST * real_time)
+        self._steps_most = min(max(self._steps_most * change, _STEPS_LEAST * real_time), self._slowest * real_time)
 
     def _measure(self) -> None:
         now = time.perf_counter()
@@ -350,6 +410,7 @@ class Live:
         if recorder is not None:
             recorder.finish()
             if recorder.error is None:
+                self._kept.note(self.session)
                 self._messages.append(f"recorded in {recorder.path.name}")
 
     def _drop_recorder(self, error: RecordingError) -> None:
@@ -388,6 +449,7 @@ class Live:
             (began, first), (ended, last) = self._past[0], self._past[-1]
             rate = (last - first) / max(ended - began, 1e-9)
             factor = rate * session.simulation.step_s
+        self._cuts_done.note(session, frame)
         return replace(
             moment_of(session, frame),
             mode=self._mode,
@@ -395,6 +457,8 @@ class Live:
             steps_per_second=rate,
             recording=None if self._recorder is None else self._recorder.path.name,
             act_count=self._acts_done(),
+            cuts=self._cuts_done.cuts,
+            unheld=self._cuts_done.unheld,
         )
 
     def _acts_done(self) -> int:
@@ -416,8 +480,9 @@ def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFram
         frame=frame or session.frame(surface=True),
         surface=simulation.surface,
         triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
-        held=_held(simulation),
-        probes=_probes(simulation),
+        tissue_cuts=simulation.cuts,
+        held=held_by(simulation),
+        probes=probe_axes_mm(simulation),
         mode="paused",
         real_time_factor=None,
         steps_per_second=None,
@@ -425,35 +490,3 @@ def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFram
         recording=None,
         act_count=0,
     )
-
-
-def _places_mm(simulation: Simulation) -> dict[str, Float64]:
-    """Offset of each hand and centre of each probe, LPS mm, by name."""
-    model = simulation.model
-    places = {grab.name: model.to_mm(grab.pose.offset) for grab in simulation.grabs}
-    for probe in simulation.probes:
-        places[probe.name] = model.geometry.index_to_world(probe.centre - 0.5)
-    return places
-
-
-def _held(simulation: Simulation) -> tuple[Held, ...]:
-    model = simulation.model
-    to_world = model.geometry.direction_matrix
-    found = []
-    for grab in simulation.grabs:
-        centre_mm = model.geometry.index_to_world(grab.centre_at(grab.pose, model) - 0.5)
-        turn: Turn | None = None
-        if not np.array_equal(grab.pose.turn, np.eye(3)):
-            x, y, z = (to_world @ grab.pose.turn @ to_world.T).tolist()
-            turn = ((x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2]))
-        found.append(Held(grab.name, centre_mm, model.to_mm(grab.pose.offset), turn))
-    return tuple(found)
-
-
-def _probes(simulation: Simulation) -> dict[str, Float64]:
-    model = simulation.model
-    to_mm = model.geometry.direction_matrix * model.cell_mm
-    return {
-        probe.name: to_mm @ np.column_stack([probe.turn * probe.semi_axes, probe.half_axis])
-        for probe in simulation.probes
-    }

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Float64
+from heartcase.schemas.arrays import Bool, Float64
 
-__all__ = ["Eye", "Hit", "Pointer", "Ray", "first_hit", "on_plane"]
+__all__ = ["CutPlane", "Eye", "Hit", "Pointer", "Ray", "first_hit", "first_hit_beside", "on_plane"]
 
 _AHEAD_MM = 1e-6
 """What is nearer to a ray's start is not in front of it."""
+_FLAT = 1e-9
+"""Slope of a ray against a plane below which it runs along it."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,26 @@ class Hit:
     point_mm: Float64
     """Where, LPS mm, shape (3,)."""
     triangle: int
-    """Number of the triangle."""
+    """Number of the triangle; -1 where a cut plane was met in the tissue."""
     normal: Float64
     """Unit normal of the triangle, towards the ray's start, LPS, shape (3,)."""
     distance_mm: float
     """How far along the ray, mm."""
+
+
+@dataclass(frozen=True)
+class CutPlane:
+    """A plane that opens what is looked at: what lies beyond it is neither seen nor pointed at."""
+
+    normal: Float64
+    """Unit vector to what is taken away, LPS, shape (3,)."""
+    offset_mm: float
+    """Where it lies along that vector, from the origin, mm."""
+
+    def keeps(self, places_mm: npt.ArrayLike) -> Bool:
+        """Whether each of some places is not beyond it, LPS mm, shape (n, 3)."""
+        kept: Bool = np.asarray(places_mm, dtype=float) @ self.normal <= self.offset_mm
+        return kept
 
 
 @dataclass(frozen=True)
@@ -104,9 +121,6 @@ class Pointer:
 def first_hit(ray: Ray, vertices_mm: npt.ArrayLike, triangles: npt.NDArray[Any]) -> Hit | None:
     """What a ray meets first of a surface; None where it meets nothing. Both sides of a triangle count.
 
-    Vertices are looked at along the ray: a triangle is hit where the ray's own place lies inside of its outline (as of
-    Woop, Benthin and Wald, Journal of Computer Graphics Techniques 2, 2013), so that no ray slips through an edge.
-
     Parameters
     ----------
     ray
@@ -116,9 +130,61 @@ def first_hit(ray: Ray, vertices_mm: npt.ArrayLike, triangles: npt.NDArray[Any])
     triangles
         Vertex numbers, shape (triangle_count, 3).
     """
+    return _nearest(ray, vertices_mm, triangles, *_crossings(ray, vertices_mm, triangles))
+
+
+def first_hit_beside(
+    ray: Ray,
+    vertices_mm: npt.ArrayLike,
+    triangles: npt.NDArray[Any],
+    plane: CutPlane,
+    *,
+    closed: npt.NDArray[Any] | None = None,
+) -> Hit | None:
+    """What a ray meets first of a surface that a plane cuts open: what lies beyond the plane is not there.
+
+    Where the plane cuts the tissue itself, and is looked at from beyond, the plane is met: then the hit has no triangle
+    (-1), and the plane's normal.
+
+    Parameters
+    ----------
+    ray, vertices_mm, triangles
+        As of :func:`first_hit`.
+    plane
+        The plane.
+    closed
+        All triangles of the closed surface around the tissue, where ``triangles`` are but those that are shown.
+    """
+    slope = float(ray.direction @ plane.normal)
+    start = plane.offset_mm - float(ray.start_mm @ plane.normal)
+    # beyond the plane all along the ray, before it, or behind it
+    if abs(slope) < _FLAT:
+        return first_hit(ray, vertices_mm, triangles) if start >= 0.0 else None
+    at = start / slope
+    near, far = (max(at, 0.0), np.inf) if slope < 0.0 else (0.0, at)
+    if slope < 0.0 < at:
+        whole = triangles if closed is None else closed
+        numbers, distance = _crossings(ray, vertices_mm, whole)
+        beyond = numbers[distance > at]
+        a, b, c = np.moveaxis(np.asarray(vertices_mm, dtype=float)[np.asarray(whole)[beyond]], 1, 0)
+        leaves = np.einsum("ij,j->i", np.cross(b - a, c - a), ray.direction) > 0.0
+        # the ray goes out of the tissue once more often than into it where it begins inside
+        if 2 * int(leaves.sum()) > len(leaves):
+            return Hit(ray.at(at), -1, plane.normal, at)
+    numbers, distance = _crossings(ray, vertices_mm, triangles)
+    kept = (distance > near) & (distance < far)
+    return _nearest(ray, vertices_mm, triangles, numbers[kept], distance[kept])
+
+
+def _crossings(ray: Ray, vertices_mm: npt.ArrayLike, triangles: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], Float64]:
+    """Numbers of the triangles that a ray meets, and how far along it, mm; in no order.
+
+    Vertices are looked at along the ray: a triangle is hit where the ray's own place lies inside of its outline (as of
+    Woop, Benthin and Wald, Journal of Computer Graphics Techniques 2, 2013), so that no ray slips through an edge.
+    """
     triangles = np.asarray(triangles)
     if not len(triangles):
-        return None
+        return np.zeros(0, np.int64), np.zeros(0)
     side = np.eye(3)[np.abs(ray.direction).argmin()]
     right = np.cross(ray.direction, side)
     right /= np.linalg.norm(right)
@@ -136,15 +202,21 @@ def first_hit(ray: Ray, vertices_mm: npt.ArrayLike, triangles: npt.NDArray[Any])
     near, doubled, area, corners = near[inside], doubled[inside], area[inside], corners[inside]
     distance = (doubled * depth[corners]).sum(axis=1) / area
     ahead = distance > _AHEAD_MM
-    if not ahead.any():
+    return near[ahead], distance[ahead]
+
+
+def _nearest(
+    ray: Ray, vertices_mm: npt.ArrayLike, triangles: npt.NDArray[Any], numbers: npt.NDArray[Any], distance: Float64
+) -> Hit | None:
+    if not len(numbers):
         return None
-    place = np.flatnonzero(ahead)[distance[ahead].argmin()]
-    a, b, c = np.asarray(vertices_mm, dtype=float)[corners[place]]
+    place = int(distance.argmin())
+    a, b, c = np.asarray(vertices_mm, dtype=float)[np.asarray(triangles)[numbers[place]]]
     normal = np.cross(b - a, c - a)
     normal = normal / np.linalg.norm(normal)
     if normal @ ray.direction > 0.0:
         normal = -normal
-    return Hit(ray.at(float(distance[place])), int(near[place]), normal, float(distance[place]))
+    return Hit(ray.at(float(distance[place])), int(numbers[place]), normal, float(distance[place]))
 
 
 def on_plane(ray: Ray, point_mm: npt.ArrayLike, normal: npt.ArrayLike) -> Float64 | None:

@@ -22,6 +22,7 @@ __all__ = [
     "slice_corners_mm",
     "slice_greys",
     "stretch_colours",
+    "structures_after_cuts",
 ]
 
 CUT_FACES = 256
@@ -76,9 +77,7 @@ class Structures:
         """Structure of each triangle now, shape (triangle_count,)."""
         if live.triangle_origin is None:
             return self._of_triangles
-        carried = self._of_triangles[live.triangle_origin]
-        carried[live.triangle_origin < 0] = CUT_FACES
-        return carried
+        return structures_after_cuts(self._of_triangles, live.triangle_origin)
 
     def is_shown(self, numbers: Int32) -> Bool:
         """Whether each of some triangles' structures is shown, shape (triangle_count,)."""
@@ -88,6 +87,21 @@ class Structures:
     def colours(self, numbers: Int32) -> UInt8:
         """Red, green, blue of each of some triangles' structures, shape (triangle_count, 3)."""
         return self._palette[numbers]
+
+
+def structures_after_cuts(uncut: Int32, triangle_origin: Int32) -> Int32:
+    """Structure of each triangle of a surface that was cut, shape (triangle_count,).
+
+    Parameters
+    ----------
+    uncut
+        That of each triangle of the uncut surface, shape (uncut_triangle_count,).
+    triangle_origin
+        Triangle of the uncut surface that each is a part of, -1 for cut faces, shape (triangle_count,).
+    """
+    carried = uncut[triangle_origin]
+    carried[triangle_origin < 0] = CUT_FACES
+    return carried
 
 
 def stretch_colours(live: LiveFrame, known: tuple[LatticeModel, Float64] | None) -> UInt8 | None:

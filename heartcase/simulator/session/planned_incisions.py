@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +18,16 @@ from heartcase.schemas.scripts.incision_plans import IncisionPlans, PlannedIncis
 from heartcase.schemas.scripts.script import CutAction, SimulationScript
 from heartcase.schemas.scripts.toml_text import checked_toml, text_of
 from heartcase.simulator.incisions.figures import CRITERIA, IncisionFigures, RankedPlan, ranked
-from heartcase.simulator.incisions.measure import IncisionPlan, Scene, measured
+from heartcase.simulator.incisions.held_open import Incision, ShownHeart, seen_through
 from heartcase.simulator.incisions.planned import (
-    DrawnLine,
     blade_poses,
     drawn_line,
     lip_hands,
     lip_retractors,
-    lips,
     problems_of_cut,
 )
-from heartcase.simulator.incisions.rim import DefectRim, defect_rim
+from heartcase.simulator.incisions.rim import defect_rim
 from heartcase.simulator.incisions.strain import Strain, cell_strain, values_at_nodes, values_at_vertices
-from heartcase.simulator.incisions.surgical_freedom import Shaft
-from heartcase.simulator.incisions.triangle_tree import TriangleTree, triangle_tree
-from heartcase.simulator.incisions.visibility import View, visibility
 from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.load import Case
 from heartcase.simulator.session.operating_session import OperatingSession
@@ -199,12 +194,12 @@ def run_plan(
     surface = case.surface
     assert surface is not None
     landmarks = case.manifest.landmarks
-    whole = _Shown.of(simulation)
+    whole = _shown(simulation)
     lines = [drawn_line(cut, landmarks, whole.tree, surface.rest_mm, whole.normals) for cut in plan.cuts]
     cell_mm = simulation.model.cell_mm
     poses = [blade_poses(cut, line, landmarks, cell_mm=cell_mm) for cut, line in zip(plan.cuts, lines, strict=True)]
     entry = lines[0].at(0.5)[0] if lines[0] is not None else np.mean(poses[0], axis=(0, 1))
-    rims = [defect_rim(whole.tree, one, entry) for one in on.defects]
+    rims = tuple(defect_rim(whole.tree, one, entry) for one in on.defects)
     session.do(Mark(name="closed"))
 
     def tell(before_s: float) -> Callable[[Simulation, float], None]:
@@ -220,7 +215,7 @@ def run_plan(
             "there is no tissue in its way: look where the line lies and how deep it goes", place=cuts[0].name
         )
     session.do(Mark(name="cut"))
-    cut_open = _Shown.of(simulation)
+    cut_open = _shown(simulation)
     script = SimulationScript(seconds=plan.open_s + plan.hold_s, actions=plan.actions)
     held_by = plan.retraction
     if held_by is not None and lines[0] is not None:
@@ -236,36 +231,14 @@ def run_plan(
     session.do(Mark(name="held open"))
     if on_time is not None:
         on_time(plan.seconds)
-    return _measured(plan, on, case, session, _Moments(whole, cut_open, _Shown.of(simulation)), lines[0], rims, entry)
+    curve = lines[0].points_mm if lines[0] is not None else np.asarray(plan.cuts[0].poses_mm, float)[:, -1]
+    incision = Incision(plan.name, curve, lines[0], entry, rims, len(whole.rest_mm))
+    return _measured(plan, on, case, session, (whole, cut_open, _shown(simulation)), incision)
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """The surface at a moment."""
-
-    rest_mm: Float64
-    now_mm: Float64
-    normals: Float64
-    tree: TriangleTree
-
-    @classmethod
-    def of(cls, simulation: Simulation) -> _Shown:
-        assert simulation.surface is not None
-        shown = simulation.surface_now()
-        now = shown.vertices_mm.astype(float)
-        tree = triangle_tree(now, simulation.surface.triangles)
-        return cls(simulation.surface.rest_mm.astype(float), now, shown.normals.astype(float), tree)
-
-    def lips(self, line: DrawnLine, whole_count: int) -> tuple[Float64, Float64]:
-        """Both lips of a line, by the vertices that the surface had before it was cut."""
-        return lips(line, self.rest_mm[:whole_count], self.now_mm[:whole_count])
-
-
-@dataclass(frozen=True)
-class _Moments:
-    closed: _Shown
-    cut: _Shown
-    held: _Shown
+def _shown(simulation: Simulation) -> ShownHeart:
+    assert simulation.surface is not None
+    return ShownHeart.of(simulation.surface, simulation.surface_now())
 
 
 def _measured(
@@ -273,65 +246,36 @@ def _measured(
     on: PlansOnCase,
     case: Case,
     session: OperatingSession,
-    moments: _Moments,
-    line: DrawnLine | None,
-    rims: list[DefectRim],
-    entry: Float64,
+    moments: tuple[ShownHeart, ShownHeart, ShownHeart],
+    incision: Incision,
 ) -> HeldOpen:
-    from heartcase.simulator.incisions.nearness import carried
-
     simulation = session.simulation
-    assert simulation.surface is not None
-    opening, gap = None, None
-    held = moments.held
-    if line is not None:
-        sides = held.lips(line, len(moments.closed.rest_mm))
-        gap = float(np.linalg.norm(sides[0] - sides[1], axis=1).max())
-        opening = np.concatenate([sides[0], sides[1][::-1]])
+    closed, cut, held = moments
     forces = {
         one.name: float(np.linalg.norm(simulation.force_on(one)))
         for one in simulation.instruments
         if isinstance(one, Grab)
     }
-    scene = Scene(
-        model=simulation.model,
-        displacement=simulation.state.displacement,
-        rest_mm=held.rest_mm.astype(np.float32),
-        now_mm=held.now_mm.astype(np.float32),
-        triangles=simulation.surface.triangles,
+    found, opening = seen_through(
+        incision,
+        simulation.model,
+        simulation.state.displacement,
+        held,
+        closed=closed,
+        cut=cut,
         landmarks=case.manifest.landmarks,
-        opening_mm=opening,
+        looking=on.plans.view,
+        shaft=on.plans.shaft,
+        looks_from=plan.looks_from,
+        retraction_n=max(forces.values(), default=None),
     )
-    shaft, looking = on.plans.shaft, on.plans.view
-    figures, best, now = {}, {}, {}
-    for rim in rims:
-        middle = carried(rim.points_mm, held.rest_mm, held.now_mm).mean(axis=0)
-        through = entry if opening is None else opening.mean(axis=0)
-        axis = _tuple(through - middle) if plan.looks_from is None else plan.looks_from
-        view = View(axis, looking.half_angle_deg, looking.distance_mm, looking.eye_count)
-        wanted = IncisionPlan(
-            name=plan.name,
-            curve_mm=line.points_mm if line is not None else np.asarray(plan.cuts[0].poses_mm, float)[:, -1],
-            rim_mm=rim.points_mm,
-            view=view,
-            shaft=Shaft(axis, shaft.half_angle_deg, shaft.length_mm, shaft.radius_mm),
-            depth_mm=shaft.depth_mm,
-        )
-        found = measured(wanted, scene, retraction_n=max(forces.values(), default=None), spacing_mm=shaft.spacing_mm)
-        earlier = [
-            visibility(one.tree, carried(rim.points_mm, one.rest_mm, one.now_mm), view).rim_seen
-            for one in (moments.closed, moments.cut)
-        ]
-        figures[rim.name] = replace(found, rim_seen_closed=earlier[0], rim_seen_cut=earlier[1], gap_mm=gap)
-        now[rim.name] = carried(rim.points_mm, held.rest_mm, held.now_mm)
-        best[rim.name] = _tuple(visibility(held.tree, now[rim.name], view).best_direction)
     return HeldOpen(
         plan=plan,
-        figures=figures,
-        rim_found={rim.name: rim.part_found for rim in rims},
-        looks_from=best,
-        rims_mm=now,
-        rims_at_rest_mm={rim.name: rim.points_mm for rim in rims},
+        figures={name: one.figures for name, one in found.items()},
+        rim_found={rim.name: rim.part_found for rim in incision.rims},
+        looks_from={name: one.looks_from for name, one in found.items() if one.looks_from is not None},
+        rims_mm={name: one.rim_mm for name, one in found.items() if one.rim_mm is not None},
+        rims_at_rest_mm={rim.name: rim.points_mm for rim in incision.rims},
         hand_force_n=forces,
         inverted_cell_count=simulation.inverted_cell_count(),
         opening_mm=opening,
@@ -376,8 +320,3 @@ def at_vertices(values: Float64, held: HeldOpen, simulation: Simulation) -> Floa
         raise SimulationError("there is no surface: load the case with one", place="surface")
     at_nodes = values_at_nodes(simulation.model, values, held.strain.is_known)
     return values_at_vertices(simulation.surface.triangle_nodes, simulation.surface.weights, at_nodes)
-
-
-def _tuple(values: Float64) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z

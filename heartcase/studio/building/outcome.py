@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from heartcase.pipeline.warning_words import recognised
 from heartcase.pipeline.warnings import warnings_of
 from heartcase.schemas.bundle.approval import approval_state, bundle_sha256, report_beside
 from heartcase.schemas.bundle.format import CaseManifest
@@ -66,6 +67,7 @@ def _figures(
         "warnings": _warnings(manifest, places_mm),
         "volumes_ml": _volumes(manifest),
         "openings": _openings(manifest),
+        "grown": _grown(manifest),
         "node_count": manifest.simulation.node_count,
         "cell_mm": manifest.simulation.cell_mm,
         "tissue_volume_ml": manifest.simulation.tissue_volume_ml,
@@ -79,7 +81,9 @@ def _warnings(manifest: CaseManifest, told: Mapping[str, Sequence[Point]]) -> li
     for warning in warnings_of(manifest):
         named = [[float(number) for number in match] for match in _PLACE.findall(warning.text)]
         places = [list(place) for place in told.get(warning.text, ())] or named
-        found.append({"text": warning.sentence, "grade": warning.grade.value, "places_mm": places})
+        code, parts = recognised(warning.text)
+        one = {"text": warning.sentence, "grade": warning.grade.value, "places_mm": places}
+        found.append(one | {"code": code, "parts": parts})
     return found
 
 
@@ -97,8 +101,27 @@ def _openings(manifest: CaseManifest) -> list[dict[str, Any]]:
             "area_mm2": one["area_mm2"],
             "center_mm": list(one["center_mm"]),
             "verdict": one["verdict"],
+            "reach_mm": one.get("reach_mm"),
         }
         for one in manifest.quality.get("openings") or ()
+    ]
+
+
+def _grown(manifest: CaseManifest) -> list[dict[str, Any]]:
+    """The places where walls were grown between two cavities whose outlines touch."""
+    walls = manifest.quality.get("walls")
+    septa = walls.get("septa") or () if isinstance(walls, dict) else ()
+    return [
+        {
+            "between": list(one["between"]),
+            "thickness_mm": one["thickness_mm"],
+            "area_mm2": place["area_mm2"],
+            "center_mm": list(place["center_mm"]),
+            "radius_mm": place["radius_mm"],
+            "state": place["state"],
+        }
+        for one in septa
+        for place in one.get("places", ())
     ]
 
 

@@ -18,12 +18,14 @@ from heartcase.schemas.arrays import Float32, Float64, Int16, Int32, UInt8
 from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES
 from heartcase.simulator.surface.deform import SurfaceModel
+from heartcase.studio.operating.coarser import CoarseLevel
 from heartcase.studio.operating.normal_map import NormalMap
 
 __all__ = [
     "BLOCK_NODES",
     "SCALE_LEAST",
     "Rounded",
+    "coarse_message",
     "frame_message",
     "moved_blocks",
     "packed",
@@ -99,7 +101,13 @@ def frame_message(
     return packed({"kind": "frame"} | dict(header) | own, arrays | dict(more))
 
 
-def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map: NormalMap | None = None) -> bytes:
+def topology_message(
+    number: int,
+    live: LiveFrame,
+    structures: Int32,
+    normal_map: NormalMap | None = None,
+    cell_labels: UInt8 | None = None,
+) -> bytes:
     """The surface as it hangs on the nodes: what a page's vertex shader needs to place it, as of eq. 9.9.
 
     A vertex on the border of two structures, or of two charts of the normal map, is sent once for each.
@@ -114,6 +122,9 @@ def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map
         Structure of each triangle, shape (triangle_count,).
     normal_map
         That of the uncut surface, where the case has one: it is shown on what is whole.
+    cell_labels
+        Tissue label of each cell now, shape (cell_count,): with it goes what a page needs to show walls that a plane
+        cuts open in their structures' colours.
     """
     surface, model = live.surface, live.frame.model
     drawn = surface.triangles
@@ -122,6 +133,48 @@ def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map
         charted = normal_map.corners_now(surface, live.triangle_origin)
         map_count = len(normal_map.uv)
         drawn = np.where(charted >= 0, charted, map_count + surface.triangles)
+    arrays, chart = _drawn(surface, drawn, structures)
+    if normal_map is not None:
+        is_charted, at = chart < map_count, np.minimum(chart, map_count - 1)
+        arrays["uv"] = np.where(is_charted[:, None], normal_map.uv[at], np.float32(-1.0))
+        arrays["tangent"] = np.where(is_charted[:, None], normal_map.tangent[at], np.float32(0.0))
+    if cell_labels is not None:
+        arrays |= {"cells": model.cells.astype(np.int16), "cell_label": cell_labels}
+        arrays["cell_corners"] = model.cell_corners.astype(np.uint32)
+    header = {
+        "kind": "topology",
+        "topology": number,
+        "node_count": model.node_count,
+        "cut_faces": CUT_FACES,
+        "cell_mm": model.cell_mm,
+        "origin_mm": model.geometry.index_to_world(np.zeros(3)).tolist(),
+        "direction": model.geometry.direction_matrix.tolist(),
+    }
+    return packed(header, arrays)
+
+
+def coarse_message(number: int, coarse: CoarseLevel) -> bytes:
+    """The surface at a coarser level of detail, without a normal map, as :func:`topology_message` has the finest.
+
+    Parameters
+    ----------
+    number
+        Number of the topology that it stands for.
+    coarse
+        The surface.
+    """
+    arrays, _ = _drawn(coarse.surface, coarse.surface.triangles, coarse.structures)
+    header = {"kind": "coarse_topology", "topology": number, "level": coarse.level, "cut_faces": CUT_FACES}
+    return packed(header, arrays)
+
+
+def _drawn(
+    surface: SurfaceModel, drawn: Int32, structures: Int32
+) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.int64]]:
+    """Arrays of a surface whose vertices are told apart by structure and by the number that ``drawn`` has at corners.
+
+    That number comes second, for each vertex.
+    """
     corners, owners = drawn.ravel().astype(np.int64), np.repeat(structures.astype(np.int64), 3)
     pairs, first, triangles = np.unique(corners << 9 | owners, return_index=True, return_inverse=True)
     vertex = surface.triangles.ravel()[first].astype(np.int64)
@@ -132,20 +185,7 @@ def topology_message(number: int, live: LiveFrame, structures: Int32, normal_map
         **_hung(surface, vertex),
         **_springs(surface),
     }
-    if normal_map is not None:
-        chart = pairs >> 9
-        is_charted, at = chart < map_count, np.minimum(chart, map_count - 1)
-        arrays["uv"] = np.where(is_charted[:, None], normal_map.uv[at], np.float32(-1.0))
-        arrays["tangent"] = np.where(is_charted[:, None], normal_map.tangent[at], np.float32(0.0))
-    header = {
-        "kind": "topology",
-        "topology": number,
-        "node_count": model.node_count,
-        "cut_faces": CUT_FACES,
-        "cell_mm": model.cell_mm,
-        "direction": model.geometry.direction_matrix.tolist(),
-    }
-    return packed(header, arrays)
+    return arrays, pairs >> 9
 
 
 def _hung(surface: SurfaceModel, vertex: npt.NDArray[np.int64]) -> dict[str, npt.NDArray[Any]]:

@@ -15,19 +15,30 @@ __all__ = [
     "Act",
     "Along",
     "Begin",
+    "Coarser",
+    "Compare",
+    "CutOpen",
+    "Figures",
     "Hide",
+    "HoldOpen",
     "LetGo",
     "Look",
+    "Plane",
+    "Planned",
     "Play",
     "Point",
     "Recordings",
+    "Rename",
     "Replay",
     "Request",
     "Resize",
     "Run",
     "Seen",
+    "Slice",
     "Strain",
     "Take",
+    "TourTo",
+    "Tours",
     "Wheel",
     "parse_request",
 ]
@@ -36,6 +47,9 @@ _FAR_MM = 1e6
 """No eye is further away, and no number that says where it looks is larger."""
 _PERPENDICULAR_MAX = 1e-3
 """How far rows of the eye's axes may be from perpendicular and of unit length."""
+
+
+_RecordingName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class _Asked(Model):
@@ -176,6 +190,56 @@ class Hide(_Asked):
     """Their numbers."""
 
 
+class Plane(Model):
+    """A plane that opens the heart."""
+
+    normal: Direction
+    """To what is taken away, LPS."""
+    point_mm: PointMm
+    """A point of it, LPS mm."""
+
+    @model_validator(mode="after")
+    def _is_a_plane(self) -> Plane:
+        if np.abs([self.point_mm, self.normal]).max() > _FAR_MM:
+            raise ValueError(f"a plane is at most {_FAR_MM:g} mm away")
+        if np.linalg.norm(self.normal) < 1.0 / _FAR_MM:
+            raise ValueError("a direction this short says nothing")
+        return self
+
+
+class CutOpen(_Asked):
+    """Where this page cuts the heart open: what is taken away cannot be pointed at from it."""
+
+    do: Literal["cut_open"]
+    """Which request."""
+    plane: Plane | None
+    """Where; null where it does not."""
+
+
+class Slice(_Asked):
+    """Show a slice of the scan."""
+
+    do: Literal["slice"]
+    """Which request."""
+    name: Literal["cut", "axial", "coronal", "sagittal"]
+    """Which of the page's slices; it comes with the picture."""
+    point_mm: PointMm
+    """A point of its plane, LPS mm."""
+    right: Direction
+    """To the picture's right, LPS, unit length."""
+    down: Direction
+    """Down the picture, LPS, unit length."""
+
+    @model_validator(mode="after")
+    def _is_a_plane(self) -> Slice:
+        if np.abs([self.point_mm, self.right, self.down]).max() > _FAR_MM:
+            raise ValueError(f"a slice is at most {_FAR_MM:g} mm away")
+        axes = np.array([self.right, self.down])
+        if np.abs(axes @ axes.T - np.eye(2)).max() > _PERPENDICULAR_MAX:
+            raise ValueError("the axes of a picture are perpendicular and of unit length")
+        return self
+
+
 class Strain(_Asked):
     """Send how far the tissue is stretched, too."""
 
@@ -183,6 +247,82 @@ class Strain(_Asked):
     """Which request."""
     shown: bool
     """Whether it is wanted."""
+
+
+class Tours(_Asked):
+    """Name the guided tours of this case, with all that they say and show."""
+
+    do: Literal["tours"]
+    """Which request."""
+
+
+class TourTo(_Asked):
+    """Bring the session to where a step of a tour leaves it; nowhere, where the tour is left."""
+
+    do: Literal["tour"]
+    """Which request."""
+    tour: Annotated[int, Field(ge=0, le=100)]
+    """Number of the tour, from 0, as they were named."""
+    step: Annotated[int, Field(ge=0, le=100)] | None = None
+    """Number of the step, from 0; None leaves the tour."""
+
+
+class Coarser(_Asked):
+    """Send coarser levels of detail of the surface, too: for a page that cannot draw the finest while it moves."""
+
+    do: Literal["coarser"]
+    """Which request."""
+
+
+class Figures(_Asked):
+    """Send figures of an incision as it is held open now, again and again."""
+
+    do: Literal["figures"]
+    """Which request."""
+    shown: bool
+    """Whether they are wanted."""
+    incision: Annotated[int, Field(ge=0, le=10_000)] = 0
+    """Which of the cuts, from 0; the last one where there are fewer."""
+    reach: bool = False
+    """Whether the reach of an instrument's tip is to be worked out, once: time is stopped for it."""
+
+
+class Planned(_Asked):
+    """Cut along a planned incision of the case."""
+
+    do: Literal["cut_planned"]
+    """Which request."""
+    incision: Annotated[str, Field(min_length=1, max_length=200)]
+    """Its name."""
+
+
+class HoldOpen(_Asked):
+    """Close hands on both lips of a cut, and lead them apart."""
+
+    do: Literal["hold_open"]
+    """Which request."""
+    incision: Annotated[int, Field(ge=0, le=10_000)]
+    """Which of the cuts, from 0."""
+
+
+class Compare(_Asked):
+    """Work out the figures of recordings, side by side."""
+
+    do: Literal["compare"]
+    """Which request."""
+    names: Annotated[tuple[_RecordingName, ...], Field(min_length=1, max_length=6)]
+    """Names that were given for them."""
+
+
+class Rename(_Asked):
+    """Give a recording another name."""
+
+    do: Literal["rename"]
+    """Which request."""
+    name: _RecordingName
+    """One of the names that were given."""
+    to: Annotated[str, Field(pattern=r"^\w[\w ()+,-]{0,79}$")]
+    """Its new name, without an ending."""
 
 
 class Seen(Model):
@@ -208,7 +348,17 @@ Request = (
     | Replay
     | Begin
     | Hide
+    | CutOpen
+    | Slice
     | Strain
+    | Tours
+    | TourTo
+    | Coarser
+    | Figures
+    | Planned
+    | HoldOpen
+    | Compare
+    | Rename
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

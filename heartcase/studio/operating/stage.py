@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from heartcase.schemas.bundle.manifest import manifest_bytes
-from heartcase.schemas.errors import HeartcaseError, RecordingError
+from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.incisions.strain import vertex_colours
-from heartcase.simulator.live.live import Live, LiveFrame
+from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES, STRETCH_SHOWN, Structures
 from heartcase.simulator.live.strain_worker import StrainWorker
 from heartcase.simulator.live.tools import TOOLS
@@ -22,14 +22,24 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.studio.operating.cell_labels import CellLabels
+from heartcase.studio.operating.coarser import CoarseLevel, CoarserWorker, load_coarser
+from heartcase.studio.operating.heart_axes import heart_axes
+from heartcase.studio.operating.incisions import Incisions
+from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
+from heartcase.studio.operating.surroundings import cannulae
 
 __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 
 DAMPING_PER_S = 30.0
 """Damping of all movement, 1/s."""
+_SLOWEST_FRAME_S = 1.0 / 30.0
+"""How long a frame takes at most where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
+_KEEP_S = 60.0
+"""Longest time that is waited for a recording to be written, s."""
 
 
 class Stage:
@@ -38,15 +48,19 @@ class Stage:
     Parameters
     ----------
     case
-        The case, loaded with surface, structures and tissue.
+        The case, loaded with surface, structures, tissue and the labels of its cells.
     out
         Folder that recordings are put into, and taken from.
     heard
         Called by the session's thread when there is a new frame.
     normal_map
         The case's normal map, where it has one.
+    coarser
+        The surface at coarser levels of detail, where the case has them.
     sha256
         Hash of the case's manifest, which lists the hash of each file; None where it is not known.
+    axes
+        The heart's own planes, as :func:`heartcase.studio.operating.heart_axes.heart_axes` finds them.
     """
 
     def __init__(
@@ -56,7 +70,9 @@ class Stage:
         heard: Callable[[], None],
         normal_map: NormalMap | None = None,
         *,
+        coarser: tuple[CoarseLevel, ...] = (),
         sha256: str | None = None,
+        axes: Mapping[str, Any] | None = None,
     ) -> None:
         assert case.triangle_structures is not None
         self._case = case
@@ -64,15 +80,29 @@ class Stage:
         self._heard = heard
         self.normal_map = normal_map
         self._sha256 = sha256
+        self._cannulae = cannulae(case)
+        self._axes = axes or {"planes": {}, "centre_mm": None}
         self.structures = Structures(case.manifest, case.triangle_structures)
+        self.cell_labels = CellLabels(case)
         self._strain: StrainWorker | None = None
+        self._levels = coarser
+        self._coarser: CoarserWorker | None = None
         self._spares = False
+        self.incisions = Incisions(case)
+        self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
         self.live = self._started(self._new_session())
+
+    @property
+    def case(self) -> Case:
+        """The case that was loaded."""
+        return self._case
 
     def close(self) -> None:
         """End the session; a recording is finished."""
         self.live.close()
         self.show_strain(False)
+        self.show_coarser(False)
+        self.figures.show(False)
 
     def is_of(self, path: Path) -> bool:
         """Whether the case that lies there now is the one that was loaded; it may have been built anew."""
@@ -91,9 +121,7 @@ class Stage:
         HeartcaseError
             There is no such recording, or it is not of this case; the session goes on.
         """
-        if name not in self._found():
-            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
-        recording = open_recording(self._out / name)
+        recording = open_recording(self._out / self.known(name))
         case = self._case
         session = load_session(recording, case.model, surface=case.surface, tissue=case.tissue)
         self.live.close()
@@ -102,6 +130,38 @@ class Stage:
     def recordings(self) -> list[str]:
         """Names of the recordings that are there, the newest first."""
         return sorted(self._found(), key=lambda name: (self._out / name).stat().st_mtime, reverse=True)
+
+    def known(self, name: str) -> str:
+        """The name of a recording that is there.
+
+        Raises
+        ------
+        RecordingError
+            There is none of this name.
+        """
+        if name not in self._found():
+            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
+        return name
+
+    def rename(self, name: str, to: str) -> None:
+        """Give a recording another name, without its ending.
+
+        Raises
+        ------
+        RecordingError
+            There is no such recording, it is being written, or the name is taken.
+        """
+        path, new = self._out / self.known(name), self._out / f"{to.strip()}.recording"
+        if self.live.newest.recording == name:
+            raise RecordingError("it is being recorded: end the recording first", place="recording")
+        if new.exists():
+            raise RecordingError("there is already a recording of this name: choose another", place="recording")
+        try:
+            path.rename(new)
+        except OSError as error:
+            raise RecordingError(
+                f"it cannot be renamed: {error.strerror or 'no reason given'}", place="recording"
+            ) from None
 
     def record(self) -> None:
         """Record what is done, from the session's start on, under the next free name."""
@@ -113,11 +173,68 @@ class Stage:
                 self.live.record(path)
                 return
 
+    def keep(self) -> str | None:
+        """Write what was done into a recording where no recording has it yet, and wait for it.
+
+        Nothing else may be asked meanwhile.
+
+        Returns
+        -------
+        str or None
+            The recording's name; None where there was nothing to be kept.
+
+        Raises
+        ------
+        RecordingError
+            It cannot be kept.
+        """
+        live = self.live
+        if live.newest.frame.coming_cuts:
+            live.make_cuts()
+            live.settle(_KEEP_S)
+        if live.is_kept:
+            return None
+        before = set(self._found())
+        self.record()
+        live.stop_recording()
+        live.settle(_KEEP_S)
+        made = sorted(set(self._found()) - before)
+        if not live.is_kept or not made:
+            raise RecordingError("what was done cannot be written", place="recording")
+        return made[0]
+
     def spare_a_processor(self) -> None:
         """Leave a processor to a browser of this machine that draws without a graphics card."""
         if not self._spares:
             self._spares = True
             self.live.spare_a_processor()
+
+    def cut_planned(self, name: str) -> None:
+        """Cut along a planned incision.
+
+        Raises
+        ------
+        UsageError
+            The case has no such incision.
+        """
+        self.live.do(self.incisions.cut(name))
+
+    def hold_open(self, number: int) -> None:
+        """Close hands on both lips of a cut, by its place among those that are done, and lead them apart.
+
+        Raises
+        ------
+        UsageError
+            There is no such cut, or it has no line on the tissue.
+        """
+        live = self.live
+        cuts = live.newest.cuts
+        if number >= len(cuts):
+            raise UsageError("there is no such incision: cut first", place="incision")
+        hands = self.incisions.hands(cuts[number])
+        live.do(*(close for close, _, _ in hands))
+        for _, led, speed_mm_s in hands:
+            live.lead(led, speed_mm_s)
 
     def show_strain(self, is_wanted: bool) -> None:
         """Work out how far the tissue is stretched, or leave it."""
@@ -127,6 +244,24 @@ class Stage:
         elif not is_wanted and self._strain is not None:
             self._strain.close()
             self._strain = None
+
+    def show_coarser(self, is_wanted: bool) -> None:
+        """Have the coarser levels of detail follow what is cut, or leave them."""
+        if is_wanted and self._coarser is None and self._levels:
+            self._coarser = CoarserWorker(self._levels, self._heard)
+        elif not is_wanted and self._coarser is not None:
+            self._coarser.close()
+            self._coarser = None
+
+    def coarser(self, live: LiveFrame) -> tuple[CoarseLevel, ...]:
+        """The coarser levels of a moment; none where they are not known yet, or there are none."""
+        if self._coarser is None:
+            return ()
+        known = self._coarser.newest
+        if known is not None and known[0] is live.surface:
+            return known[1]
+        self._coarser.ask(live)
+        return ()
 
     def stretch(self, live: LiveFrame) -> Any:
         """Stretch around each node as bytes, of a moment of late; None where it is not known of this lattice."""
@@ -148,13 +283,17 @@ class Stage:
                 {"value": one.number, "name": one.name, "colour": "#{:02x}{:02x}{:02x}".format(*one.colour)}
                 for one in self.structures.all
             ],
+            "tissue_inside": self.cell_labels.inside(self.structures),
             "cut_faces": CUT_FACES,
+            "heart_axes": self._axes,
+            "cannulae": self._cannulae,
             "tools": [
                 {"key": tool.key, "size_words": tool.size_words, "size": tool.size, "sizes": tool.sizes}
                 for tool in TOOLS
             ],
             "box_mm": [low.tolist(), high.tolist()],
             "step_s": simulation.step_s,
+            "incisions": self.incisions.names,
             "stretch_shown": STRETCH_SHOWN,
             "stretch_colours": vertex_colours(np.linspace(*STRETCH_SHOWN, 256), *STRETCH_SHOWN).tolist(),
         }
@@ -181,7 +320,13 @@ class Stage:
     def _started(self, session: OperatingSession, *, plays: bool = False) -> Live:
         session.simulation.prepare()
         session.simulation.prepare_cuts()
-        live = Live(session, manifest=self._case.manifest, heard=self._heard)
+        live = Live(
+            session,
+            manifest=self._case.manifest,
+            slowest=_SLOWEST_FRAME_S / FRAME_S,
+            shows_surface=False,
+            heard=self._heard,
+        )
         if self._spares:
             live.spare_a_processor()
         if plays:
@@ -207,12 +352,13 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
     """
     while True:
         sha256 = _manifest_sha256(path)
-        case = load_case(path, needs=("surface", "structures", "tissue"))
+        case = load_case(path, needs=("surface", "structures", "tissue", "cell_labels"))
         assert case.surface is not None
-        normal_map = load_normal_map(path, case.surface)
+        normal_map, axes = load_normal_map(path, case.surface), heart_axes(path)
+        coarser = load_coarser(path)
         # A build may have put another case there meanwhile.
         if _manifest_sha256(path) == sha256:
-            return Stage(case, out, heard, normal_map, sha256=sha256)
+            return Stage(case, out, heard, normal_map, coarser=coarser, sha256=sha256, axes=axes)
 
 
 def _manifest_sha256(path: Path) -> str | None:

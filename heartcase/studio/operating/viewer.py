@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,11 @@ from heartcase.schemas.arrays import Int32
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.live.hands import Hands
 from heartcase.simulator.live.live import LiveFrame
-from heartcase.simulator.live.rays import Pointer, Ray, first_hit
-from heartcase.simulator.surface.deform import SurfaceModel
-from heartcase.studio.operating.packing import Rounded, frame_message, topology_message
-from heartcase.studio.operating.requests import Look
+from heartcase.simulator.live.rays import CutPlane, Hit, Pointer, Ray, first_hit, first_hit_beside
+from heartcase.simulator.surface.deform import SurfaceModel, deform
+from heartcase.studio.operating.cell_labels import nearest_cell
+from heartcase.studio.operating.packing import Rounded, coarse_message, frame_message, topology_message
+from heartcase.studio.operating.requests import Look, Plane
 from heartcase.studio.operating.stage import Stage
 
 __all__ = ["IN_FLIGHT_MAX", "Viewer", "described", "patch_arrays"]
@@ -38,7 +40,7 @@ class Viewer:
         self._stage = stage
         self.hands = Hands(stage.live)
         self.hidden: frozenset[int] = frozenset()
-        self.wants_strain = False
+        self.wants_strain = self.wants_coarser = self.wants_figures = False
         self._surface: SurfaceModel | None = None
         self._model: LatticeModel | None = None
         self._sent: Rounded | None = None
@@ -46,6 +48,9 @@ class Viewer:
         self._shown_s = 0.0
         self._stretch: Any = None
         self._topology = self._frame = self._taken = 0
+        self._coarse_topology = 0
+        self._plane: CutPlane | None = None
+        self._figures: str | None = None
         self._pickable: tuple[SurfaceModel, frozenset[int], Int32] | None = None
 
     def begin_anew(self) -> None:
@@ -68,9 +73,45 @@ class Viewer:
         hit = None
         if self.hands.needs_hit:
             newest = self._stage.live.newest
-            assert newest.frame.surface is not None
-            hit = first_hit(ray, newest.frame.surface.vertices_mm, self._shown_triangles(newest))
+            hit = self._first_hit(ray, newest)
         return Pointer(ray, hit, np.array(look.axes))
+
+    def cut_open(self, plane: Plane | None) -> None:
+        """Point at nothing beyond a plane; at everything where there is none."""
+        if plane is None:
+            self._plane = None
+            return
+        normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
+        self._plane = CutPlane(normal, float(normal @ np.array(plane.point_mm)))
+
+    def _first_hit(self, ray: Ray, newest: LiveFrame) -> Hit | None:
+        # pages place the surface themselves: it is worked out here only where somebody points at it
+        surface = deform(newest.frame.model, newest.surface, newest.frame.state.displacement)
+        shown = self._shown_triangles(newest)
+        if self._plane is None:
+            return first_hit(ray, surface.vertices_mm, shown)
+        every = newest.surface.triangles
+        hit = first_hit_beside(ray, surface.vertices_mm, shown, self._plane, closed=every)
+        if hit is None or hit.triangle >= 0 or not self.hidden:
+            return hit
+        # a wall that is hidden is not seen where it is cut either
+        model = newest.frame.model
+        cell = nearest_cell(model, newest.frame.state.displacement, hit.point_mm)
+        if int(self._stage.cell_labels.of(model)[cell]) not in self.hidden:
+            return hit
+        return first_hit(replace(ray, start_mm=hit.point_mm), surface.vertices_mm, shown)
+
+    def figures(self, newest: LiveFrame) -> str | None:
+        """The message with the newest figures, where they are wanted and it was not sent yet; a moment is passed on."""
+        if not self.wants_figures:
+            self._figures = None
+            return None
+        self._stage.figures.ask(newest)
+        message = self._stage.figures.message(newest)
+        if message == self._figures:
+            return None
+        self._figures = message
+        return message
 
     def messages(self, newest: LiveFrame) -> list[bytes]:
         """What is to be sent to show a moment; nothing where the page is busy, or has it already.
@@ -85,15 +126,17 @@ class Viewer:
         stretch = self._stage.stretch(newest) if self.wants_strain else None
         is_new_stretch = stretch is not None and (self._stretch is None or not np.array_equal(stretch, self._stretch))
         if newest is self._shown and not is_new_stretch:
-            return []
+            return self._new_coarse(newest)
         found = []
         if newest.surface is not self._surface or newest.frame.model is not self._model:
             self._topology += 1
             structures = self._stage.structures.of(newest)
-            found.append(topology_message(self._topology, newest, structures, self._stage.normal_map))
+            labels = self._stage.cell_labels.of(newest.frame.model)
+            found.append(topology_message(self._topology, newest, structures, self._stage.normal_map, labels))
             if self._model is None or newest.frame.model.node_count != self._model.node_count:
                 self._sent = None
             self._surface, self._model = newest.surface, newest.frame.model
+        found += self._new_coarse(newest)
         scale = {} if self._sent is None else {"scale": self._sent.scale}
         rounded = Rounded.of(newest.frame.state.displacement, **scale)
         now = time.monotonic()
@@ -108,6 +151,15 @@ class Viewer:
         found.append(frame_message(header, rounded, self._sent, more))
         self._sent, self._shown, self._shown_s = rounded, newest, now
         return found
+
+    def _new_coarse(self, newest: LiveFrame) -> list[bytes]:
+        """Coarser levels of what the page shows, where it wants them, has them not, and they are there."""
+        if not self.wants_coarser or self._coarse_topology == self._topology:
+            return []
+        coarser = self._stage.coarser(newest)
+        if coarser:
+            self._coarse_topology = self._topology
+        return [coarse_message(self._topology, one) for one in coarser]
 
     def _is_still(self, newest: LiveFrame, rounded: Rounded) -> bool:
         """Whether nothing but the time is new."""

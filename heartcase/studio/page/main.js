@@ -3,6 +3,7 @@
 import { BuildTab } from "./building/build_tab.js";
 import { runDrafts } from "./panel/drafts.js";
 import { Guide } from "./panel/guide.js";
+import { runNaming } from "./panel/naming.js";
 import { runPlanes } from "./panel/planes.js";
 import { Status } from "./panel/status.js";
 import { Structures } from "./panel/structures.js";
@@ -58,7 +59,7 @@ function run() {
   const preview = runPreview(views, (request) => connection.ask(request), (error) => fault(error));
   hands.lookAt = (mm) => views.lookAt(mm);
   hands.labelValueAt = (voxel) => views.volume?.labelAt(voxel) ?? null;
-  new ShapePanel(find("panel-shape"), studio, views, shaping, hands);
+  const shapePanel = new ShapePanel(find("panel-shape"), studio, views, shaping, hands);
   views.over.push((view, thickness) => drawLines(view.pen, view.camera, studio.crosshair.value, thickness, shaping));
   views.overSolid.push((view) => drawLinesOnSolid(view.pen, view.camera, studio.crosshair.value, shaping));
   for (const signal of [shaping.shape, shaping.selected, shaping.draft, shaping.isOpen]) {
@@ -68,7 +69,7 @@ function run() {
     status.clear();
     connection.ask({ do: "lock", label, locked }).catch((error) => fault(error));
   });
-  const parts = { place: find("place"), checklist: find("checklist") };
+  const parts = { place: find("place"), right: find("place-right"), checklist: find("checklist") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
 
   /** @param {"undo" | "redo"} what */
@@ -82,6 +83,7 @@ function run() {
     undo: () => step("undo"),
     redo: () => step("redo"),
     nextPlace: () => void guide.next(),
+    placeRight: () => void guide.confirm(),
     fit: () => views.fit(),
     shape: () => find("tab-shape").click(),
     removeShape: () => {
@@ -100,6 +102,7 @@ function run() {
     else if (studio.tool.value === "shape") studio.take(studio.toolBefore === "shape" ? "pointer" : studio.toolBefore);
   });
   runHelp(shortcuts.areOn);
+  runNaming(studio, shaping);
   runPlanes(studio, views, (request) => connection.ask(request), (error) => fault(error));
   runDrafts(studio, location.pathname.replace("/prepare/", "/draft/"));
   find("next-place").addEventListener("click", () => actions.nextPlace());
@@ -124,6 +127,7 @@ function run() {
     else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
     else if (message.kind === "structures") {
       preview.refresh();
+      shapePanel.tellLumens();
       structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
       guide.tell(message.checklist ?? []);
     } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
@@ -152,7 +156,7 @@ function run() {
   function open(message) {
     studio.ready.value = false;
     views.begin(message.size, message.index_to_world);
-    find("case-name").textContent = find("case-name").title = message.name;
+    find("case-name").textContent = message.name;
     studio.modality.value = message.modality;
     studio.firstWindow.value = message.window;
     studio.range.value = message.range;
@@ -207,7 +211,7 @@ function run() {
   }
 
   connection.open();
-  new BuildTab(studio, views, (error) => fault(error));
+  new BuildTab(studio, views, shaping, (request) => connection.ask(request), (error) => fault(error));
 }
 
 try {

@@ -26,8 +26,23 @@ from heartcase.schemas.toml_places import Place
 from heartcase.studio.messages import boxes_message, labels_message, scan_message, surface_message, text_message
 from heartcase.studio.painting.drafts import Draft
 from heartcase.studio.painting.locks import lock_again, lock_label
+from heartcase.studio.painting.place_picture import place_picture
 from heartcase.studio.painting.planes import planes_message
-from heartcase.studio.painting.requests import End, Extend, History, Lock, Look, Paint, Planes, Request, Rest, Suggest
+from heartcase.studio.painting.requests import (
+    Confirm,
+    End,
+    Extend,
+    History,
+    Lock,
+    Look,
+    Paint,
+    Picture,
+    Planes,
+    Request,
+    Rest,
+    Suggest,
+)
+from heartcase.studio.painting.right_places import confirm_again, confirm_place
 from heartcase.studio.painting.shown import Shown, planes_in_voxels
 from heartcase.studio.shaping.facts import shaping_facts
 from heartcase.studio.shaping.requests import Add, Change, FindEnds, Preview, Propose, Remove, Set
@@ -46,8 +61,6 @@ _WINDOW_PERCENTILES = (1.0, 99.5)
 class Answer:
     """What comes of a request."""
 
-    for_each: Mapping[object, tuple[bytes, ...]] = field(default_factory=dict)
-    """Messages for some pages alone, before all others."""
     for_all: tuple[str | bytes, ...] = ()
     """Messages for every page on the recipe, in this order."""
     done: str | None = None
@@ -55,6 +68,8 @@ class Answer:
     later: Callable[[], tuple[str | bytes, ...]] | None = None
     """What takes long and looks at nothing that changes: it may run beside other requests, and gives what is told to
     the page that asked."""
+    for_each: Mapping[object, tuple[bytes, ...]] = field(default_factory=dict)
+    """Messages for some pages alone, before those for all."""
 
 
 class Painting:
@@ -78,7 +93,9 @@ class Painting:
         self._locks = locks
         self._shown: dict[object, Shown] = {}
         opened.session.put_off()
+        self._right = locks.with_name(locks.name.replace(".locks.", ".right."))
         lock_again(opened.session, locks)
+        confirm_again(opened.session, self._right)
 
     @property
     def is_stale(self) -> bool:
@@ -167,6 +184,9 @@ class Painting:
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
+            case Confirm():
+                confirm_place(session, request.position_mm, request.label, request.rival, file=self._right)
+                return Answer(done=self._done(request))
             case Lock():
                 self._close_stroke()
                 lock_label(session, request.label, is_locked=request.locked, file=self._locks)
@@ -174,11 +194,15 @@ class Painting:
             case Look():
                 shown = self._shown.setdefault(page, Shown(session))
                 shown.look(planes_in_voxels(request.planes, session.geometry))
-                return Answer({page: shown.in_sight()}, done=self._seen(request, shown))
+                return Answer(for_each={page: shown.in_sight()}, done=self._seen(request, shown))
             case Rest():
                 session.catch_up()
                 shown = self._shown.setdefault(page, Shown(session))
-                return Answer({page: shown.rest()}, done=self._seen(request, shown))
+                return Answer(for_each={page: shown.rest()}, done=self._seen(request, shown))
+            case Picture():
+                scan = self._opened.scan
+                url = place_picture(scan, session.labels, session.table, request.position_mm, _window(scan))
+                return Answer(done=text_message("picture", id=request.id, url=url))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
 
@@ -253,7 +277,7 @@ class Painting:
                 box = k, j, i
         labels = () if box is None else (boxes_message([box], session.labels_of_boxes([box])),)
         in_sight = {page: shown.in_sight() for page, shown in self._shown.items() if shown.has_rest}
-        return Answer(in_sight, (*labels, self._done()), self._done(request))
+        return Answer((*labels, self._done()), self._done(request), for_each=in_sight)
 
     def _done(self, request: Request | None = None) -> str:
         number = {} if request is None else {"id": request.id}

@@ -13,12 +13,14 @@ from heartcase.studio.asking import RequestId, parsed
 from heartcase.studio.shaping.requests import ShapingRequest
 
 __all__ = [
+    "Confirm",
     "End",
     "Extend",
     "History",
     "Lock",
     "Look",
     "Paint",
+    "Picture",
     "Planes",
     "Request",
     "Rest",
@@ -82,6 +84,21 @@ class Suggest(Model):
     """How many, at most."""
 
 
+class Confirm(Model):
+    """A place that was named is right as it is: it is not named again while it has this label."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["confirm"]
+    """Which request."""
+    position_mm: PointMm
+    """The place, as it was named, LPS mm."""
+    label: Name
+    """Name of the label that it has."""
+    rival: Name
+    """Name of the one that it might have had."""
+
+
 class Planes(Model):
     """Name the heart's own planes, as far as labels and landmarks tell them."""
 
@@ -89,6 +106,17 @@ class Planes(Model):
     """Number that the answer names."""
     do: Literal["planes"]
     """Which request."""
+
+
+class Picture(Model):
+    """Draw a small picture of a place."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["picture"]
+    """Which request."""
+    position_mm: PointMm
+    """Where, LPS mm."""
 
 
 class Lock(Model):
@@ -139,7 +167,7 @@ class Rest(Model):
     """Which request."""
 
 
-Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock | Look | Rest
+Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock | Picture | Confirm | Look | Rest
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

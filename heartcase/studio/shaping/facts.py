@@ -17,6 +17,7 @@ from heartcase.schemas.recipe.edit_settings import (
     Smooth,
 )
 from heartcase.schemas.recipe.settings import (
+    ContactPlace,
     EndMarker,
     GridSettings,
     MaterialSettings,
@@ -45,6 +46,7 @@ LINES: dict[str, dict[str, type[Model]]] = {
     "pins": {"": Pin},
     "walls.thickness": {"centreline": WallThickness, "positions": WallThickness},
     "walls.septum": {"": SeptumThickness},
+    "walls.contact": {"": ContactPlace},
 }
 """List of the recipe -> kind of line -> what such a line says; no kind where all are alike."""
 

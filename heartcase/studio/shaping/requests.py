@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 
-ListName = Literal["ends", "edits", "landmarks", "pins", "walls.thickness", "walls.septum"]
+ListName = Literal["ends", "edits", "landmarks", "pins", "walls.thickness", "walls.septum", "walls.contact"]
 """Lists of the recipe that a page changes."""
 
 _Entry = dict[Annotated[str, Field(max_length=64)], JsonValue]
@@ -81,8 +81,8 @@ class Set(Model):
     """Number that the answer names."""
     do: Literal["set"]
     """Which request."""
-    place: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], Field(min_length=2, max_length=4)]
-    """Keys that lead to it; a label is called by its name."""
+    place: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], Field(min_length=1, max_length=4)]
+    """Keys that lead to it; a label is called by its name. The case's own name is ``name`` alone."""
     value: JsonValue = None
     """What is set; null leaves the setting out, so that its default counts."""
 

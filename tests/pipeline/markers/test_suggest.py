@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.markers.load_markers import stroke_voxels
-from heartcase.pipeline.markers.suggest import LEAST_ML, SURE, suggest_strokes
+from heartcase.pipeline.markers.suggest import LEAST_ML, SURE, RightPlace, suggest_strokes
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.geometry import Geometry
@@ -51,6 +51,38 @@ def test_a_plain_with_one_doubtful_lake_is_told_as_it_is():
     nearness = 13.0 / (13.0 + 10.0)
     assert place.worth_ml == pytest.approx(min(place.change_ml, 5.0) * 0.75**4 * nearness**2)
     assert found.rest_ml == 0.0
+
+
+def test_a_place_that_was_found_right_is_not_named_again_while_it_has_its_label():
+    shape = (20, 24, 28)
+    markers = np.full(shape, UNMARKED, np.uint8)
+    markers.flat[np.random.default_rng(0).choice(markers.size, 5, replace=False)] = [0, 1, 2, 3, 0]
+    forest = solve_forest(build_basin_tree(rough(0, shape)), markers)
+    geometry = oblique(shape, (1.5, 2.0, 2.5))
+    before = suggest_strokes(forest, geometry, count=6, apart_mm=4.0).places
+    assert len(before) >= 3
+    for first in before[:3]:
+        right = RightPlace(first.position_mm, first.label, first.rival)
+        after = suggest_strokes(forest, geometry, count=6, apart_mm=4.0, right=[right]).places
+        assert first.position_mm not in [one.position_mm for one in after]
+        # the others stay, as far as they ask something else
+        for one in after:
+            away = np.linalg.norm(np.subtract(one.position_mm, first.position_mm))
+            assert away >= 4.0 or (one.label, one.rival) != (first.label, first.rival)
+    # and what comes first then is worth as much as what came second, or more
+    right = RightPlace(before[0].position_mm, before[0].label, before[0].rival)
+    (second,) = suggest_strokes(forest, geometry, count=1, apart_mm=4.0, right=[right]).places
+    assert before[1].worth_ml <= second.worth_ml <= before[0].worth_ml
+    # all of them one by one: it comes to an end
+    said, asked = [], 0
+    while places := suggest_strokes(forest, geometry, count=1, right=said).places:
+        said.append(RightPlace(places[0].position_mm, places[0].label, places[0].rival))
+        asked += 1
+        assert asked < 500
+    # a voxel that has another label now is asked for again
+    other = RightPlace(before[0].position_mm, before[0].rival, before[0].label)
+    outside = RightPlace((1e4, 0.0, 0.0), before[0].label, before[0].rival)
+    assert suggest_strokes(forest, geometry, count=6, apart_mm=4.0, right=[other, outside]).places == before
 
 
 def rough(seed, shape):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.simulator.live.rays import Eye, Ray, first_hit, on_plane
+from heartcase.simulator.live.rays import CutPlane, Eye, Ray, first_hit, first_hit_beside, on_plane
 
 pyvista = pytest.importorskip("pyvista")
 
@@ -115,3 +115,52 @@ def test_planes():
     assert on_plane(ray, (0.0, 0.0, 12.0), (0, 0, 1.0)) is None
     assert on_plane(ray, (1.0, 0.0, 0.0), (1.0, 0, 0)) is None
     assert first_hit(ray, np.zeros((0, 3)), np.zeros((0, 3), int)) is None
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), depth=st.floats(-0.95, 0.95))
+def test_of_a_shell_that_is_cut_open_only_what_is_left_is_met(seed, depth):
+    """A shell between two balls, against the plain formulas of balls and plane."""
+    rng = np.random.default_rng(seed)
+    normal = unit(rng.normal(size=3))
+    plane = CutPlane(normal, float(normal @ CENTRE) + depth * RADIUS)
+    outer, triangles = SPHERE
+    inner = CENTRE + 0.6 * (outer - CENTRE)
+    vertices = np.concatenate([outer, inner])
+    # the inner ball is seen from its inside: its triangles are turned
+    shell = np.concatenate([triangles, triangles[:, ::-1] + len(outer)])
+    start = CENTRE + unit(rng.normal(size=3)) * rng.uniform(1.5, 8.0) * RADIUS
+    ray = Ray(start, unit(CENTRE + rng.uniform(0.0, 1.2) * RADIUS * unit(rng.normal(size=3)) - start))
+    hit = first_hit_beside(ray, vertices, shell, plane)
+    slope = ray.direction @ normal
+    across = (plane.offset_mm - start @ normal) / slope
+    candidates = []
+    for one in (outer, inner):
+        ordered = triangles if one is outer else triangles[:, ::-1]
+        for a, b, c in one[ordered]:
+            distance = plain_distance(ray, np.array([a, b, c]), np.array([[0, 1, 2]]))
+            if np.isfinite(distance) and ray.at(distance) @ normal <= plane.offset_mm:
+                candidates.append(distance)
+    place = ray.at(across)
+    reach = np.linalg.norm(place - CENTRE) / RADIUS
+    is_capped = slope < 0.0 < across and 0.601 < reach < 0.96
+    if slope < 0.0 < across and (abs(reach - 0.6) < 0.04 or 0.96 <= reach < 1.01):
+        return
+    if is_capped:
+        assert hit.triangle == -1
+        assert hit.point_mm == pytest.approx(place)
+        np.testing.assert_array_equal(hit.normal, normal)
+    elif candidates:
+        assert hit.distance_mm == pytest.approx(min(candidates), abs=1e-9)
+        assert plane.keeps(hit.point_mm[None] - 1e-9 * normal)[0]
+    else:
+        assert hit is None
+
+
+def test_a_ray_along_a_cut_plane_meets_what_is_on_its_side():
+    vertices, triangles = SPHERE
+    normal = np.array([0.0, 0.0, 1.0])
+    ray = Ray(CENTRE - np.array([50.0, 0.3, 0.2]), np.array([1.0, 0.0, 0.0]))
+    height = float(CENTRE[2])
+    assert first_hit_beside(ray, vertices, triangles, CutPlane(normal, height + 1.0)).triangle >= 0
+    assert first_hit_beside(ray, vertices, triangles, CutPlane(normal, height - 1.0)) is None

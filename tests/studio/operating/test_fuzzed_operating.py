@@ -44,6 +44,8 @@ def anything(random):
             "play",
             "go_to",
             "hide",
+            "cut_open",
+            "slice",
         ]
     )
     match what:
@@ -65,6 +67,12 @@ def anything(random):
             return {"do": str(random.choice(["play", "record", "stop_recording", "recordings"]))}
         case "go_to":
             return {"do": "command", "command": {"kind": "go_to", "step": int(random.integers(0, 3000))}}
+        case "cut_open":
+            plane = {"normal": random.normal(size=3).tolist(), "point_mm": [x, y, far * 36.0]}
+            return {"do": "cut_open", "plane": plane if random.random() < 0.8 else None}
+        case "slice":
+            name = str(random.choice(["cut", "axial"]))
+            return {"do": "slice", "name": name, "point_mm": [x, y, far], "right": [1, 0, 0], "down": [0, 0.6, -0.8]}
         case _:
             return {"do": "hide", "structures": random.integers(0, 257, 3).tolist()}
 
@@ -91,6 +99,7 @@ def play_through(browser, opened, seeds, length):
             # it moves again
             page.done("take", tool="g")
             page.done("hide", structures=[])
+            page.done("cut_open", plane=None)
             assert page.at("press", (22.0, -14.0, 40.5))["used"]
             page.until(lambda frame: bool(frame["instruments"]))
             page.at("release", (22.0, -14.0, 40.5))

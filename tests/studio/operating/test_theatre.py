@@ -142,6 +142,38 @@ def test_what_is_asked_wrongly_is_refused_and_changes_nothing(operated):
         page.until(lambda frame: frame["act_count"] == 0)
 
 
+def test_what_a_plane_cuts_away_cannot_be_pointed_at(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        page.done("begin")
+        page.until(lambda frame: frame["mode"] == "running" and not frame["instruments"])
+        page.done("take", tool="g")
+        # the upper half is taken away: seen from above the wall is met in the plane
+        page.done("cut_open", plane={"normal": [0, 0, 2], "point_mm": [0, 0, 35.0]})
+        assert page.at("press", (22.0, -14.0, 40.5))["used"]
+        page.until(lambda frame: bool(frame["instruments"]))
+        (held,) = page.frames[-1]["instruments"]
+        assert held["center_mm"] == pytest.approx([22.0, -14.0, 35.0], abs=0.2)
+        page.at("release", (22.0, -14.0, 40.5))
+        page.until(lambda frame: not frame["instruments"])
+        # all of it is taken away
+        page.done("cut_open", plane={"normal": [0, 0, 1], "point_mm": [0, 0, 20.0]})
+        assert not page.at("press", (22.0, -14.0, 40.5))["used"]
+        # a wall that is hidden is not met where it is cut
+        page.done("cut_open", plane={"normal": [0, 0, 1], "point_mm": [0, 0, 35.0]})
+        labels = set(page.topology[1]["cell_label"].tolist())
+        page.done("hide", structures=sorted(labels | {one["value"] for one in page.opened["structures"]}))
+        assert not page.at("press", (22.0, -14.0, 40.5))["used"]
+        page.done("hide", structures=[])
+        page.done("cut_open", plane=None)
+        assert page.at("press", (22.0, -14.0, 40.5))["used"]
+        page.at("release", (22.0, -14.0, 40.5))
+        page.socket.send_json({"do": "cut_open", "id": 999, "plane": {"normal": [0, 0, 0], "point_mm": [0, 0, 0]}})
+        assert page.hear("refused")["id"] == 999
+        page.done("take", tool="")
+        page.done("begin")
+
+
 def test_a_page_that_is_slow_gets_the_newest_and_no_queue_grows(operated):
     browser, opened = operated
     with operator(browser, opened) as page, operator(browser, opened, takes=False) as slow:

@@ -18,6 +18,7 @@ from heartcase.studio.operating.packing import Rounded, frame_message, topology_
 from tests.factories import block_case
 from tests.simulator.live.scenes import write_case
 from tests.studio.axe.accessible import assert_accessible
+from tests.studio.operating.boxes import write_block_with_a_box
 from tests.studio.operating.charts import write_charted
 from tests.studio.page.browsing import Server, browsing, until
 
@@ -86,7 +87,8 @@ class Hands:
         """How far the surface that is drawn is from the server's at most, mm; the session stands."""
         frame = self.until(lambda header: header["mode"] == "paused" and header["step"] == live.newest.frame.step)
         vertex, places, normals = self.read_back()
-        surface = live.newest.frame.surface
+        newest = live.newest
+        surface = deform(newest.frame.model, newest.surface, newest.frame.state.displacement)
         assert frame["step"] == live.newest.frame.step
         assert set(vertex) == set(range(len(surface.vertices_mm)))
         assert np.abs(normals - surface.normals[vertex]).max() < TOLERANCE_NORMAL
@@ -107,6 +109,7 @@ def test_a_story_by_mouse(chromium, operated):
         before = picture(page)
         tab.locator("#record").click()
         hands.until(lambda header: header["recording"] == "block-1.recording")
+        tab.locator("#tab-forces").click()
         # pulled to the side by 5 mm: the tissue follows the pointer
         tab.keyboard.press("g")
         hands.drag(TOP, (27.0, -14.0, 40.5))
@@ -118,7 +121,6 @@ def test_a_story_by_mouse(chromium, operated):
         top = np.linalg.norm(at_rest - np.array([22.0, -14.0, 40.5]), axis=1) < 4.0
         assert moved[top, 0].min() > 4.0
         assert picture(page) != before
-        tab.locator("#tab-forces").click()
         until(lambda: "hand 1" in page.text("#forces") and " N" in page.text("#forces"))
         tab.mouse.up()
         hands.until(lambda header: not header["instruments"] and header["mode"] == "running")
@@ -155,7 +157,8 @@ def test_a_story_by_mouse(chromium, operated):
         hands.until(lambda header: abs(header["step"] - end / 2) <= 1)
         assert hands.shows(operated.live) < TOLERANCE_MM
         tab.keyboard.press("g")
-        hands.drag(TOP, (22.0, -14.0, 40.5))
+        # away from the cut, which may lie open there
+        hands.drag((14.0, -14.0, 40.5), (14.0, -14.0, 40.5))
         tab.mouse.up()
         header = hands.until(lambda header: header["mode"] == "running")
         # the hand of the recording holds where it was left, until it is let go
@@ -304,6 +307,34 @@ def test_a_page_shows_the_case_that_was_built_anew_where_another_opens_it(chromi
     server.stop()
 
 
+def test_what_moves_is_drawn_more_coarsely_where_drawing_takes_long(chromium, tmp_path):
+    """Chromium without a graphics card: the box stands for the block while the eye moves, also when it was cut."""
+    server = CaseServer(write_block_with_a_box(tmp_path))
+    server.start()
+    try:
+        with browsing(chromium, server) as page:
+            hands = Hands(page)
+            shown = f"""async () => {{ const {{ heart, renderer }} = {OPEN}.picture;
+              return [heart.mesh.visible, heart.coarse.map((one) => one.mesh.visible), renderer.getPixelRatio()]; }}"""
+            page.tab.keyboard.press("Space")
+            hands.until(lambda header: header["mode"] == "paused")
+            until(lambda: page.tab.evaluate(shown)[1] == [False])
+            hands.from_above()
+            still = picture(page)
+            # turned there and back, for as long as pictures take long
+            late = f"async () => {{ const {{ picture }} = {OPEN}; picture.detail.drew(40, 1); picture.move(); }}"
+            for _ in range(5):
+                page.tab.evaluate(late)
+            page.tab.evaluate(f"async () => {{ const {{ picture }} = {OPEN}; picture.move(); picture.draw(); }}")
+            moving = page.tab.evaluate(shown)
+            assert moving[:2] == [False, [True]]
+            assert moving[2] < 1.0
+            until(lambda: page.tab.evaluate(shown) == [True, [False], 1])
+            until(lambda: picture(page) == still)
+    finally:
+        server.stop()
+
+
 def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
     with browsing(chromium, operated, viewport={"width": 1366, "height": 768}) as page:
         hands, tab = Hands(page), page.tab
@@ -321,7 +352,7 @@ def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
         # each tab once, both colours and both languages among them
         for theme, language, names in (
             ("light", "de", ("help", "structures")),
-            ("dark", "en", ("forces", "recordings")),
+            ("dark", "en", ("forces", "figures", "recordings")),
         ):
             if tab.locator("html").get_attribute("data-theme") != theme:
                 tab.locator("#theme").click()
@@ -329,6 +360,8 @@ def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
             tab.locator("#language").select_option(language)
             for name in names:
                 tab.locator(f"#tab-{name}").click()
+                if name == "figures":
+                    tab.locator("#figures-none").wait_for()
                 if name == "recordings":
                     tab.locator("#recordings button").first.wait_for()
                 assert_accessible(page, f"{theme}, {language}, {name}")

@@ -4,20 +4,24 @@ import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 import { Approval } from "./approval.js";
+import { Contacts } from "./contacts.js";
 import { Results } from "./results.js";
 
 /** @typedef {import("../shared/connection.js").Problem} Problem */
 /** @typedef {{stage: string, state: "waiting" | "running" | "computed" | "reused", seconds: number}} Step */
-/** @typedef {{text: string, grade: string, places_mm: import("../pictures/geometry.js").Vector[]}} Warning */
-/** @typedef {{between: string[], area_mm2: number, center_mm: import("../pictures/geometry.js").Vector, verdict: string}} Opening */
+/** @typedef {import("./warning_words.js").Parts} Parts */
+/** @typedef {{text: string, grade: string, places_mm: import("../pictures/geometry.js").Vector[], code: string, parts: Parts}} Warning */
+/** @typedef {{between: string[], area_mm2: number, center_mm: import("../pictures/geometry.js").Vector, verdict: string, reach_mm: number | null}} Opening */
+/** @typedef {{between: string[], thickness_mm: number, area_mm2: number, center_mm: import("../pictures/geometry.js").Vector, radius_mm: number,
+ *   state: "grown" | "opened" | "confirmed"}} Grown */
 /**
  * @typedef {{sha256: string, name: string, notice: string, warnings: Warning[], volumes_ml: Record<string, number>,
- *   openings: Opening[], node_count: number, cell_mm: number, tissue_volume_ml: number, has_report: boolean,
+ *   openings: Opening[], grown: Grown[], node_count: number, cell_mm: number, tissue_volume_ml: number, has_report: boolean,
  *   approval: {state: string, words: string, role: string | null, time: string | null}}} Case
  */
 /**
  * @typedef {{is_running: boolean, is_cancelled: boolean, steps: Step[], compiling: [number, number] | null,
- *   expected: {elapsed: number, seconds: number, after: number} | null, problems: Problem[], changed: boolean | null,
+ *   expected: {elapsed: number, left: {seconds: number, after: number} | null} | null, problems: Problem[], changed: boolean | null,
  *   age: "current" | "older" | "unknown", case: Case | null, before_ml: Record<string, number>}} State
  */
 
@@ -39,11 +43,13 @@ export class BuildTab {
   /**
    * @param {import("../shared/studio.js").Studio} studio
    * @param {import("../pictures/views.js").Views} views
+   * @param {import("../shaping/shaping.js").Shaping} shaping
+   * @param {import("../shaping/shaping.js").Ask} ask of the recipe's page
    * @param {(error: unknown) => void} onFault
    */
-  constructor(studio, views, onFault) {
+  constructor(studio, views, shaping, ask, onFault) {
     this.onFault = onFault;
-    this.results = new Results(studio, views);
+    this.results = new Results(studio, views, new Contacts(shaping, ask));
     this.approval = new Approval((request) => this.#ask(request), this.results);
     const url = new URL(location.pathname.replace("/prepare/", "/building/"), location.href);
     url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -142,14 +148,16 @@ export class BuildTab {
     bar.hidden = time.hidden = !state?.is_running;
     if (!state?.is_running) return;
     const words = [];
-    if (state.expected) {
-      const { elapsed, seconds, after } = state.expected;
+    const isCompiling = state.compiling !== null && state.compiling[0] < state.compiling[1];
+    // what takes as long as it takes for the first time is not guessed
+    if (state.expected?.left && !isCompiling) {
+      const { elapsed, left: { seconds, after } } = state.expected;
       const passed = elapsed + (performance.now() - this.#since) / 1000;
       const left = Math.max(seconds - passed, 0) + after;
       bar.value = Math.min(passed / Math.max(seconds, 0.1), 0.97);
       words.push(left < 1 ? say("build_nearly") : left < 120 ? say("build_seconds_left", { n: figure(left, 0) }) : say("build_minutes_left", { n: figure(left / 60, 0) }));
     } else bar.removeAttribute("value");
-    if (state.compiling && state.compiling[0] < state.compiling[1]) {
+    if (state.compiling && isCompiling) {
       words.push(say("build_compiling", { done: state.compiling[0], total: state.compiling[1] }));
     }
     const text = words.join(" · ");

@@ -1,7 +1,9 @@
 /** What a case holds: warnings that lead to their places, volumes, openings; marks in the slices. */
 
 import { element } from "../panel/structures.js";
+import { distance } from "../pictures/geometry.js";
 import { figure, isWord, language, say } from "../shared/words.js";
+import { warningWords } from "./warning_words.js";
 
 /** @typedef {import("./build_tab.js").Case} Case */
 /** @typedef {import("./build_tab.js").Warning} Warning */
@@ -28,10 +30,16 @@ export class Results {
   /** Told when a warning was looked at. @type {() => void} */
   onSeen = () => undefined;
 
-  /** @param {import("../shared/studio.js").Studio} studio @param {import("../pictures/views.js").Views} views */
-  constructor(studio, views) {
+  /**
+   * @param {import("../shared/studio.js").Studio} studio
+   * @param {import("../pictures/views.js").Views} views
+   * @param {import("./contacts.js").Contacts} contacts
+   */
+  constructor(studio, views, contacts) {
     this.studio = studio;
     this.views = views;
+    this.contacts = contacts;
+    contacts.onSaid = () => this.#case && this.#drawWarnings(this.#case);
     const box = /** @type {HTMLInputElement} */ (find("openings-marked"));
     box.addEventListener("change", () => this.#mark());
     language.listen(() => this.#draw());
@@ -49,6 +57,7 @@ export class Results {
       this.#seen.clear();
       this.#shown.clear();
       this.#at.clear();
+      this.contacts.forget();
     }
     const hadDrawn = isSame && JSON.stringify(this.#beforeMl) === JSON.stringify(beforeMl);
     this.#case = made;
@@ -72,6 +81,9 @@ export class Results {
 
   /** @param {Case} made */
   #drawWarnings({ warnings }) {
+    // what has the focus keeps it
+    const box = find("build-warnings");
+    const at = [...box.querySelectorAll("button, input")].indexOf(/** @type {Element} */ (document.activeElement));
     const parts = [];
     for (const grade of GRADES) {
       const alike = warnings.filter((one) => one.grade === grade);
@@ -82,13 +94,17 @@ export class Results {
       parts.push(element("h4", grade, isWord(word) ? say(word) : grade), list);
     }
     if (parts.length === 0) parts.push(element("p", "soft", say("build_no_warnings")));
-    find("build-warnings").replaceChildren(...parts);
+    box.replaceChildren(...parts);
+    if (at >= 0) /** @type {HTMLElement | undefined} */ (box.querySelectorAll("button, input")[at])?.focus({ preventScroll: true });
   }
 
   /** @param {Warning} warning */
-  #warning({ text, grade, places_mm: places }) {
+  #warning(warning) {
+    const { text, grade, places_mm: places, code } = warning;
+    const grown = code === "grown-septum" ? (this.#case?.grown ?? []) : [];
+    if (grown.length > 0) return this.#grown(warning, grown);
     const row = element("li");
-    row.append(element("span", "says", text));
+    row.append(element("span", "says", warningWords(warning)));
     const line = element("div", "where");
     const seen = element("input");
     seen.type = "checkbox";
@@ -110,14 +126,50 @@ export class Results {
       });
       line.append(button);
     } else line.append(element("span", "soft", say("build_no_place")));
-    if (grade !== "note") {
-      const label = element("label");
-      seen.addEventListener("change", () => this.#see(text, seen.checked));
-      label.append(seen, element("span", "", say("build_seen")));
-      line.append(label);
-    }
+    if (grade !== "note") line.append(this.#seenBox(seen, text));
     row.append(line);
+    const opening = code.startsWith("opening-") ? this.#openingAt(places[0]) : undefined;
+    if (opening && ODD.includes(opening.verdict)) {
+      const acts = element("div", "where");
+      acts.append(...this.contacts.openingActs(opening));
+      row.append(acts);
+    }
     return row;
+  }
+
+  /** Walls that nobody saw: a line for each place. @param {Warning} warning @param {readonly import("./build_tab.js").Grown[]} places */
+  #grown({ text }, places) {
+    const row = element("li");
+    row.append(element("span", "says", say("contact_head")));
+    const seen = element("input");
+    seen.type = "checkbox";
+    seen.checked = this.#seen.has(text);
+    const list = element("ul", "contacts");
+    list.append(...places.map((place, n) => this.contacts.grownRow(place, () => {
+      this.views.lookAt(place.center_mm);
+      const shown = this.#shown.get(text) ?? new Set();
+      this.#shown.set(text, shown.add(n));
+      if (shown.size < places.length) return;
+      seen.checked = true;
+      this.#see(text, true);
+    })));
+    const line = element("div", "where");
+    line.append(this.#seenBox(seen, text));
+    row.append(list, line);
+    return row;
+  }
+
+  /** @param {HTMLInputElement} seen @param {string} text */
+  #seenBox(seen, text) {
+    const label = element("label");
+    seen.addEventListener("change", () => this.#see(text, seen.checked));
+    label.append(seen, element("span", "", say("build_seen")));
+    return label;
+  }
+
+  /** @param {import("../pictures/geometry.js").Vector | undefined} mm */
+  #openingAt(mm) {
+    return mm && this.#case?.openings.find(({ center_mm }) => distance(center_mm, mm) < 0.2);
   }
 
   /** @param {string} text @param {boolean} isSeen */
@@ -169,7 +221,7 @@ export class Results {
 }
 
 /** What every label of a chamber begins with says little in a table. @param {string} name */
-function short(name) {
+export function short(name) {
   return name.replace(/^morphologically /, "");
 }
 

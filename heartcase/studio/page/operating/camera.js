@@ -20,7 +20,7 @@ export function unit(a) {
 }
 
 /** @param {Vector} a @param {Vector} axis of unit length @param {number} angle @returns {Vector} */
-function turned(a, axis, angle) {
+export function turned(a, axis, angle) {
   const along = dot(a, axis) * (1 - Math.cos(angle));
   const aside = cross(axis, a);
   return add(add([a[0] * Math.cos(angle), a[1] * Math.cos(angle), a[2] * Math.cos(angle)], aside, Math.sin(angle)), axis, along);
@@ -44,7 +44,8 @@ export class Camera {
   frame(low, high) {
     this.target = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2];
     this.size = Math.hypot(high[0] - low[0], high[1] - low[1], high[2] - low[2]);
-    this.distance = 1.6 * this.size;
+    // a picture that is higher than wide shows less aside
+    this.distance = (1.6 * this.size) / Math.min(1, this.width / this.height);
     // from the front, somewhat left and above
     this.look([0.45, -1, 0.25]);
   }
@@ -54,6 +55,12 @@ export class Camera {
     this.towards = unit(from);
     this.right = unit(cross([0, 0, 1], this.towards));
     this.up = cross(this.towards, this.right);
+  }
+
+  /** @param {Vector} right on the screen @param {Vector} up on the screen; both of unit length */
+  stand(right, up) {
+    [this.right, this.up] = [right, up];
+    this.towards = unit(cross(right, up));
   }
 
   /** @returns {Vector} */
@@ -77,6 +84,12 @@ export class Camera {
     // no drift: the axes are made perpendicular again
     this.up = unit(cross(this.towards, right));
     this.right = cross(this.up, this.towards);
+  }
+
+  /** @param {number} angle by which what is seen goes round, clockwise */
+  roll(angle) {
+    this.right = unit(turned(this.right, this.towards, angle));
+    this.up = cross(this.towards, this.right);
   }
 
   /** @param {number} across @param {number} down pixels that the pointer went: what is seen goes with it */

@@ -6,7 +6,8 @@ import { Nodes, ROW } from "./nodes.js";
 import { ATTRIBUTES, FRAGMENT, LINE_FRAGMENT, LINE_VERTEX, VERTEX } from "./placing.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
-/** @typedef {{value: number, name: string, colour: string}} Structure */
+/** `pattern` tells structures apart without colour: 1 is level lines, 2 slanting ones. @typedef {{value: number, colour: string, pattern?: number}} Structure */
+/** A coarser level, and its materials: of a surface of which all is seen, and of others. @typedef {{level: number, mesh: any, whole: any, open: any}} Coarse */
 
 const STRUCTURES_MOST = 257;
 
@@ -24,8 +25,15 @@ export class Heart {
   topology = 0;
   /** Arrays of that topology, by their names in messages. @type {Record<string, any>} */
   arrays = {};
-  /** @type {any} */
+  /** Where the grid lies, of that topology. @type {{origin_mm: number[], direction: number[][], cell_mm: number} | null} */
+  place = null;
+  /** The finest surface. @type {any} */
   mesh = null;
+  /** What is shown of it and the coarser ones. @type {any} */
+  shown = null;
+  /** Coarser ones, from finer to coarser. @type {Coarse[]} */
+  coarse = [];
+  #isWhole = true;
   #colours = new Uint8Array(4 * STRUCTURES_MOST);
 
   /** @param {any} scene */
@@ -54,8 +62,8 @@ export class Heart {
     });
   }
 
-  #lineMaterial() {
-    const { uniforms } = this.material;
+  /** @param {Record<string, any>} uniforms */
+  #lineMaterial(uniforms) {
     return new three.RawShaderMaterial({ glslVersion: three.GLSL3, vertexShader: LINE_VERTEX, fragmentShader: LINE_FRAGMENT, uniforms });
   }
 
@@ -65,12 +73,14 @@ export class Heart {
 
   /** @param {readonly Structure[]} structures @param {ReadonlySet<number>} hidden */
   paint(structures, hidden) {
-    for (const { value, colour } of structures) {
+    for (const { value, colour, pattern = 0 } of structures) {
+      if (value >= STRUCTURES_MOST) continue;
       const rgb = Number.parseInt(colour.slice(1), 16);
-      const isShown = hidden.has(value) ? 0 : 255;
+      const isShown = hidden.has(value) ? 0 : 255 - 40 * pattern;
       this.#colours.set([rgb >> 16, (rgb >> 8) & 255, rgb & 255, isShown], 4 * value);
     }
     this.uniforms.palette.value.needsUpdate = true;
+    this.#isWhole = hidden.size === 0;
   }
 
   /** @param {readonly (readonly number[])[]} colours red, green, blue of 256 stretches */
@@ -106,6 +116,58 @@ export class Heart {
   takeTopology(message) {
     const arrays = arraysOf(message);
     const { header } = message;
+    this.nodes = new Nodes(header.node_count, springsOf(arrays), this.nodes);
+    this.topology = header.topology;
+    this.arrays = arrays;
+    this.place = { origin_mm: header.origin_mm, direction: header.direction, cell_mm: header.cell_mm };
+    for (const name of ["displacements", "nodeNormals"]) this.uniforms[name].value?.dispose();
+    this.uniforms.displacements.value = texels(this.nodes.displacement);
+    this.uniforms.nodeNormals.value = texels(this.nodes.normals);
+    this.uniforms.direction.value.set(...header.direction.flat());
+    this.uniforms.cellMm.value = header.cell_mm;
+    this.#remove();
+    this.mesh = this.shown = this.#meshOf(arrays, this.material, header.cut_faces);
+  }
+
+  /** A coarser level of detail of the topology that is shown. @param {Package} message */
+  takeCoarse(message) {
+    const { header } = message;
+    if (header.topology !== this.topology || this.nodes === null) return;
+    const arrays = arraysOf(message);
+    const nodeNormals = { value: texels(this.nodes.follow(springsOf(arrays)).normals) };
+    const [whole, open] = [{ PLAIN: "", WHOLE: "" }, { PLAIN: "" }].map((defines) => {
+      const material = this.material.clone();
+      // what is common stays common
+      Object.assign(material.uniforms, this.uniforms, { nodeNormals });
+      material.defines = defines;
+      return material;
+    });
+    // the inner sides of a closed surface are not seen
+    whole.side = three.FrontSide;
+    const mesh = this.#meshOf(arrays, open, header.cut_faces);
+    mesh.visible = false;
+    this.coarse.push({ level: header.level, mesh, whole, open });
+  }
+
+  /**
+   * Show the surface at a level of detail, or at the nearest finer one that is there.
+   * @param {number} level 0 is the finest
+   * @param {boolean} isCutOpen whether a plane shows the inner sides of walls
+   * @returns {number} the level that is shown
+   */
+  showLevel(level, isCutOpen) {
+    const found = this.coarse.filter((one) => one.level <= level).at(-1);
+    const shown = (this.shown = found?.mesh ?? this.mesh);
+    for (const mesh of [this.mesh, ...this.coarse.map((one) => one.mesh)]) {
+      if (mesh !== null) mesh.visible = mesh === shown;
+    }
+    const isWhole = this.#isWhole && !isCutOpen;
+    for (const one of this.coarse) one.mesh.material = isWhole ? one.whole : one.open;
+    return found?.level ?? 0;
+  }
+
+  /** @param {Record<string, any>} arrays @param {any} material @param {number} cutFaces */
+  #meshOf(arrays, material, cutFaces) {
     const geometry = new three.BufferGeometry();
     for (const [attribute, name, size, isWhole] of ATTRIBUTES) {
       if (arrays[name] === undefined) continue;
@@ -113,34 +175,26 @@ export class Heart {
       geometry.setAttribute(attribute, new three.BufferAttribute(numbers, size));
     }
     geometry.setIndex(new three.BufferAttribute(arrays.triangles, 1));
-    const springs = {
-      nodes: arrays.normal_nodes, first: arrays.spring_first, neighbours: arrays.spring_neighbours, offset: arrays.spring_offset,
-    };
-    this.nodes = new Nodes(header.node_count, springs, this.nodes);
-    this.topology = header.topology;
-    this.arrays = arrays;
-    for (const name of ["displacements", "nodeNormals"]) this.uniforms[name].value?.dispose();
-    this.uniforms.displacements.value = texels(this.nodes.displacement);
-    this.uniforms.nodeNormals.value = texels(this.nodes.normals);
-    this.uniforms.direction.value.set(...header.direction.flat());
-    this.uniforms.cellMm.value = header.cell_mm;
-    this.#remove();
-    this.mesh = new three.Mesh(geometry, this.material);
-    this.mesh.frustumCulled = false;
-    this.scene.add(this.mesh);
-    this.#addLips(geometry, header.cut_faces);
+    const mesh = new three.Mesh(geometry, material);
+    mesh.frustumCulled = false;
+    this.scene.add(mesh);
+    this.#addLips(mesh, arrays, cutFaces);
+    return mesh;
   }
 
-  /** Where the skin is cut, as a line: an incision that lies closed is seen by it. @param {any} geometry @param {number} cutFaces */
-  #addLips(geometry, cutFaces) {
-    const edges = lipEdges(this.arrays, cutFaces);
+  /**
+   * Where the skin is cut, as a line: an incision that lies closed is seen by it.
+   * @param {any} mesh @param {Record<string, any>} arrays @param {number} cutFaces
+   */
+  #addLips(mesh, arrays, cutFaces) {
+    const edges = lipEdges(arrays, cutFaces);
     if (edges.length === 0) return;
     const lines = new three.BufferGeometry();
-    for (const [name, attribute] of Object.entries(geometry.attributes)) lines.setAttribute(name, attribute);
+    for (const [name, attribute] of Object.entries(mesh.geometry.attributes)) lines.setAttribute(name, attribute);
     lines.setIndex(new three.BufferAttribute(Uint32Array.from(edges), 1));
-    const lips = new three.LineSegments(lines, this.#lineMaterial());
+    const lips = new three.LineSegments(lines, this.#lineMaterial(mesh.material.uniforms));
     lips.frustumCulled = false;
-    this.mesh.add(lips);
+    mesh.add(lips);
   }
 
   /**
@@ -155,14 +209,28 @@ export class Heart {
     if (arrays.blocks.length === 0 && !arrays.stretch) return false;
     this.uniforms.displacements.value.needsUpdate = true;
     this.uniforms.nodeNormals.value.needsUpdate = true;
+    for (const one of this.coarse) one.open.uniforms.nodeNormals.value.needsUpdate = true;
     return true;
   }
 
   #remove() {
-    if (this.mesh === null) return;
-    this.scene.remove(this.mesh);
-    this.mesh.geometry.dispose();
+    for (const mesh of [this.mesh, ...this.coarse.map((one) => one.mesh)]) {
+      if (mesh === null) continue;
+      this.scene.remove(mesh);
+      mesh.geometry.dispose();
+    }
+    for (const { whole, open } of this.coarse) {
+      open.uniforms.nodeNormals.value.dispose();
+      whole.dispose();
+      open.dispose();
+    }
+    this.coarse = [];
   }
+}
+
+/** @param {Record<string, any>} arrays of a surface */
+function springsOf({ normal_nodes: nodes, spring_first: first, spring_neighbours: neighbours, spring_offset: offset }) {
+  return { nodes, first, neighbours, offset };
 }
 
 

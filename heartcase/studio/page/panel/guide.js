@@ -31,8 +31,8 @@ export class Guide {
   /**
    * @param {Studio} studio
    * @param {Views} views
-   * @param {(request: {do: string, count: number}) => Promise<Record<string, any>>} ask
-   * @param {{place: HTMLElement, checklist: HTMLElement}} parts
+   * @param {(request: Record<string, unknown> & {do: string}) => Promise<Record<string, any>>} ask
+   * @param {{place: HTMLElement, right: HTMLElement, checklist: HTMLElement}} parts
    * @param {(error: unknown) => void} onFault
    */
   constructor(studio, views, ask, parts, onFault) {
@@ -41,6 +41,7 @@ export class Guide {
     this.ask = ask;
     this.parts = parts;
     this.onFault = onFault;
+    parts.right.addEventListener("click", () => void this.confirm());
     language.listen(() => {
       this.#showItems();
       this.#showPlace();
@@ -75,6 +76,24 @@ export class Guide {
     this.#showPlace();
   }
 
+  /** The place that is shown is right as it is: it does not come again, and the next one is shown. */
+  async confirm() {
+    const shown = this.#places?.[this.#at];
+    if (!shown || !this.studio.ready.value) return;
+    const { position_mm, label, rival } = shown;
+    const { right } = this.parts;
+    const hadFocus = document.activeElement === right;
+    try {
+      await this.ask({ do: "confirm", position_mm, label, rival });
+    } catch (error) {
+      this.onFault(error);
+      return;
+    }
+    this.#places = null;
+    await this.next();
+    if (hadFocus) (right.hidden ? document.getElementById("next-place") : right)?.focus();
+  }
+
   /** @param {readonly Item[]} items */
   tell(items) {
     this.#items = items;
@@ -82,7 +101,8 @@ export class Guide {
   }
 
   #showPlace() {
-    const { place } = this.parts;
+    const { place, right } = this.parts;
+    right.hidden = !this.#places?.[this.#at];
     if (this.#places === null) {
       place.textContent = "";
       return;

@@ -3,7 +3,9 @@
 import { element, icon } from "../panel/structures.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 import { formRows, kindWord } from "./form.js";
-import { isSame, kindOf, placeOf } from "./shaping.js";
+import { short } from "../building/results.js";
+import { lumenOf } from "./lumen.js";
+import { discOf, isSame, kindOf, placeOf } from "./shaping.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
 /** @typedef {import("../pictures/views.js").Views} Views */
@@ -47,6 +49,7 @@ export class ShapePanel {
     for (const signal of [shaping.shape, shaping.facts, shaping.selected, shaping.found, studio.ready, shaping.isOpen]) {
       /** @type {import("../shared/signal.js").Signal<any>} */ (signal).listen(() => this.#build());
     }
+    shaping.draft.listen(() => this.tellLumens());
     for (const signal of [shaping.placing, studio.picked, studio.radiusMm]) {
       /** @type {import("../shared/signal.js").Signal<any>} */ (signal).listen(() => this.#tellPlacing());
     }
@@ -79,7 +82,7 @@ export class ShapePanel {
     this.lists.replaceChildren(
       ...(shape.value.is_locked ? [element("p", "", say("shape_locked"))] : []),
       ...SECTIONS.map(({ word, list, kinds }) => this.#section(word, [this.#placeButtons(list, kinds), ...(list === "ends" ? this.#found() : []), this.#lines(list)])),
-      this.#section("shape_walls", [this.#walls(), this.#lines("walls.thickness"), ...this.#settings("walls")]),
+      this.#section("shape_walls", [this.#walls(), ...["walls.thickness", "walls.septum", "walls.contact"].map((list) => this.#lines(/** @type {List} */ (list))), ...this.#settings("walls")]),
       this.#section("shape_materials", this.#materials()),
       this.#section("shape_model", [...this.#settings("grid"), ...this.#settings("surface")]),
     );
@@ -153,7 +156,7 @@ export class ShapePanel {
     const list = element("ul", "found");
     for (const end of ends) {
       const row = element("li", "line");
-      const go = element("button", "go", `${end.label}  ∅ ${figure(2 * end.radius_mm, 0)} mm`);
+      const go = element("button", "go", `${end.label}: ${this.#endWords(end)}`);
       go.type = "button";
       go.addEventListener("click", () => this.views.lookAt(end.position_mm));
       const take = element("button", "", say("shape_take"));
@@ -187,7 +190,12 @@ export class ShapePanel {
       const go = element("button", "go");
       go.type = "button";
       go.setAttribute("aria-expanded", String(isPicked));
-      go.append(element("span", "line-name", lineName(list, entry, line.number)), element("span", "figure", measureOf(entry)));
+      const measure = element("span", "figure", measureOf(entry));
+      if (list === "ends") {
+        measure.dataset.end = String(line.number);
+        measure.textContent = this.#endWords(entry);
+      }
+      go.append(element("span", "line-name", lineName(list, entry, line.number)), measure);
       if (entry.enabled === false) go.append(element("span", "off", say("shape_off")));
       go.addEventListener("click", () => this.#choose(line, entry));
       const remove = element("button", "remove");
@@ -201,6 +209,35 @@ export class ShapePanel {
       rows.append(row);
     });
     return rows;
+  }
+
+  /** Labels or a disc changed: vessels may be wider or narrower at their ends. */
+  tellLumens() {
+    if (!this.shaping.isOpen.value) return;
+    const { shape, draft } = this.shaping;
+    for (const one of /** @type {Iterable<HTMLElement>} */ (this.lists.querySelectorAll("[data-end]"))) {
+      const number = Number(one.dataset.end);
+      const dragged = draft.value?.line.list === "ends" && draft.value.line.number === number ? draft.value.entry : undefined;
+      const entry = dragged ?? shape.value?.lines.ends[number - 1];
+      const words = entry ? this.#endWords(entry) : "";
+      if (one.textContent !== words) one.textContent = words;
+    }
+  }
+
+  /** How wide the vessel is at its end, and the disc. @param {Entry} entry */
+  #endWords(entry) {
+    const disc = discOf("ends", entry);
+    const lattice = this.studio.lattice.value;
+    const value = this.studio.labels.value.find(({ name }) => name === entry.label)?.value;
+    const disc_mm = figure(2 * entry.radius_mm, 1);
+    if (disc === null || lattice === null || value === undefined) return say("end_disc", { disc: disc_mm });
+    const isInside = (/** @type {import("../pictures/geometry.js").Vector} */ mm) => {
+      const voxel = lattice.voxelAt(mm);
+      return voxel !== null && this.hands.labelValueAt?.(voxel) === value;
+    };
+    const found = lumenOf(disc, isInside, lattice.sliceStep([0, 0, 1]) / 4);
+    if (found === null) return say("end_beside", { disc: disc_mm });
+    return say(found.isCut ? "end_narrow" : "end_lumen", { lumen: figure(found.mm, 1), disc: disc_mm });
   }
 
   /** @param {Line} line @param {Entry} entry */
@@ -330,8 +367,14 @@ function closing({ position_mm, diameter_mm, axis, shape, width_mm, long_axis })
 /** @param {List} list @param {Entry} entry @param {number} number */
 function lineName(list, entry, number) {
   const kind = list === "landmarks" || list === "ends" ? "" : kindWord(kindOf(list, entry));
-  const what = entry.name ?? entry.label ?? (kind ? "" : String(number));
+  const what = entry.name ?? entry.label ?? (entry.between ? betweenWords(list, entry) : kind ? "" : String(number));
   return [kind, what].filter(Boolean).join(": ") || `${number}`;
+}
+
+/** @param {List} list @param {Entry} entry */
+function betweenWords(list, entry) {
+  const pair = entry.between.map(short).join(" – ");
+  return list === "walls.contact" ? say(entry.is_open ? "contact_open" : "contact_wall", { pair }) : say("septum_between", { pair });
 }
 
 /** How large it is. @param {Entry} entry */

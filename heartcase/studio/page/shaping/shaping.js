@@ -5,14 +5,14 @@ import { rounded } from "./discs.js";
 
 /** @typedef {import("../pictures/geometry.js").Vector} Vector */
 /** @typedef {import("./discs.js").Disc} Disc */
-/** @typedef {"ends" | "edits" | "landmarks" | "pins" | "walls.thickness" | "walls.septum"} List */
+/** @typedef {"ends" | "edits" | "landmarks" | "pins" | "walls.thickness" | "walls.septum" | "walls.contact"} List */
 /** @typedef {Record<string, any>} Entry a line of the recipe, as it stands there */
 /** @typedef {{name: string, type: string, needed: boolean, unit?: string, minimum?: number, exclusiveMinimum?: number, maximum?: number,
  *   maxLength?: number, choices?: string[], default?: any, meaning: string}} Field */
 /** @typedef {{lines: Record<List, Record<string, Field[]>>, settings: Record<string, Field[]>, usual_wall_mm: Record<string, number>}} Facts */
 /** @typedef {{label: string, term: string | null, wall_thickness_mm: number, has_table: boolean}} Wall */
 /** @typedef {{name: string, role: string, colour: string, is_grown: boolean}} Structure */
-/** @typedef {{lines: Record<List, Entry[]>, settings: Record<string, Entry>, walls: Wall[], materials: Record<string, Entry>,
+/** @typedef {{name: string, lines: Record<List, Entry[]>, settings: Record<string, Entry>, walls: Wall[], materials: Record<string, Entry>,
  *   structures: Structure[], is_locked: boolean}} Shape */
 /** @typedef {{list: List, number: number}} Line the number counts from 1 */
 /** @typedef {{list: List, kind: string}} Kind */

@@ -2,21 +2,26 @@
 
 import { words as de } from "../words/de.js";
 import { words as en } from "../words/en.js";
+import { words as preparingDe } from "../words/preparing_de.js";
+import { words as preparingEn } from "../words/preparing_en.js";
 import { keep, kept } from "./settings.js";
 import { Signal } from "./signal.js";
 
-/** @typedef {keyof typeof en} Word */
+const english = { ...en, ...preparingEn };
+/** @typedef {keyof typeof english} Word */
 /** @typedef {Record<string, string | number>} Values */
 
 /** @type {Record<string, Record<Word, string>>} */
-export const LANGUAGES = { en, de };
+export const LANGUAGES = { en: english, de: { ...de, ...preparingDe } };
 
 /** @type {Signal<string>} */
 export const language = new Signal(firstLanguage());
 language.listen((chosen) => keep("language", chosen));
 
 function firstLanguage() {
-  const wanted = [kept("language"), ...(globalThis.navigator?.languages ?? [])];
+  // a page that led here says in which language
+  const asked = new URLSearchParams(globalThis.location?.search ?? "").get("lang");
+  const wanted = [asked, kept("language"), ...(globalThis.navigator?.languages ?? [])];
   for (const name of wanted) {
     const short = name?.slice(0, 2).toLowerCase();
     if (short && short in LANGUAGES) return short;
@@ -40,7 +45,7 @@ export function say(key, values = {}) {
  * @returns {key is Word}
  */
 export function isWord(key) {
-  return key in en;
+  return key in english;
 }
 
 /**

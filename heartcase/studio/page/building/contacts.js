@@ -1,0 +1,166 @@
+/** Places where the outlines of two cavities touch: what was found there, with a picture, and what it is, by a button. */
+
+import { element } from "../panel/structures.js";
+import { distance } from "../pictures/geometry.js";
+import { figure, say } from "../shared/words.js";
+
+/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../shaping/shaping.js").Entry} Entry */
+/** @typedef {import("../shaping/shaping.js").Shaping} Shaping */
+/** @typedef {import("./build_tab.js").Grown} Grown */
+/** @typedef {import("./build_tab.js").Opening} Opening */
+/** @typedef {{between: string[], area_mm2: number, center_mm: Vector, reach_mm: number}} Place */
+
+/** So much farther than the place itself a statement reaches: the rim of a voxel. */
+const BEYOND_MM = 1;
+/** Thickness of a wall that is grown where the page was told that one belongs there; it can be changed in Shape. */
+const WALL_MM = 1.5;
+
+export class Contacts {
+  /** Pictures that were drawn, by their place. @type {Map<string, Promise<string>>} */
+  #pictures = new Map();
+  /** Told when what the recipe says of places changed. @type {() => void} */
+  onSaid = () => undefined;
+
+  /**
+   * @param {Shaping} shaping
+   * @param {import("../shaping/shaping.js").Ask} ask
+   */
+  constructor(shaping, ask) {
+    this.shaping = shaping;
+    this.ask = ask;
+    let before = "";
+    shaping.shape.listen((shape) => {
+      const said = JSON.stringify([shape?.lines["walls.contact"], shape?.lines["walls.septum"]]);
+      if (said !== before) this.onSaid();
+      before = said;
+    });
+  }
+
+  /** Of another case pictures are drawn anew. */
+  forget() {
+    this.#pictures.clear();
+  }
+
+  /**
+   * A line about a place where a wall was grown.
+   * @param {Grown} place
+   * @param {() => void} onFly
+   */
+  grownRow(place, onFly) {
+    const row = element("li", "contact");
+    const words = say("contact_grown", {
+      mm2: figure(place.area_mm2, place.area_mm2 < 10 ? 1 : 0), mm: figure(diameterOf(place.area_mm2), 1), wall: figure(place.thickness_mm, 1),
+    });
+    const body = element("div", "contact-body");
+    body.append(element("strong", "", pairWords(place.between)), element("span", "", words));
+    const at = { ...place, reach_mm: place.radius_mm };
+    const buttons = element("div", "row");
+    buttons.append(this.#fly(onFly), ...this.#acts(at, place.state === "grown" ? "grown" : place.state === "opened" ? "opened" : "confirmed"));
+    body.append(buttons);
+    row.append(this.#picture(place.center_mm), body);
+    return row;
+  }
+
+  /**
+   * What may be said of an opening that no normal heart has.
+   * @param {Opening} opening
+   * @returns {HTMLElement[]}
+   */
+  openingActs({ between, area_mm2, center_mm, reach_mm, verdict }) {
+    const place = { between, area_mm2, center_mm, reach_mm: reach_mm ?? diameterOf(area_mm2) };
+    return [this.#picture(center_mm), ...this.#acts(place, verdict === "unexpected" ? "unexpected" : "odd")];
+  }
+
+  /** @param {() => void} onFly */
+  #fly(onFly) {
+    return button("contact_fly", onFly);
+  }
+
+  /**
+   * Buttons, or what was said already.
+   * @param {Place} place
+   * @param {"grown" | "opened" | "confirmed" | "unexpected" | "odd"} state as it was built
+   * @returns {HTMLElement[]}
+   */
+  #acts(place, state) {
+    const said = this.#said(place);
+    if (said) {
+      const isBuilt = said.entry.is_open ? state === "opened" : state === "confirmed";
+      const words = say(said.entry.is_open ? "contact_said_open" : "contact_said_wall");
+      return [
+        element("span", "said", isBuilt ? words : `${words} ${say(said.entry.is_open ? "contact_build" : "contact_noted")}`),
+        button("contact_back", () => void this.shaping.remove({ list: "walls.contact", number: said.number }, said.entry)),
+      ];
+    }
+    if (state === "opened") return [element("span", "said", say("contact_stated"))];
+    if (state === "unexpected" && this.#isApart(place)) return [element("span", "said", `${say("contact_apart")} ${say("contact_build")}`)];
+    const real = button("contact_real", () => void this.#say(place, true));
+    if (state === "odd") return [real];
+    const wall = state === "unexpected"
+      ? button("contact_grow", () => void this.shaping.add("walls.septum", [{ between: place.between, thickness_mm: WALL_MM }]))
+      : button("contact_is_wall", () => void this.#say(place, false));
+    return [real, wall];
+  }
+
+  /** @param {Place} place @param {boolean} isOpen */
+  async #say({ between, center_mm, reach_mm }, isOpen) {
+    const radius = Math.ceil(10 * (reach_mm + BEYOND_MM)) / 10;
+    await this.shaping.add("walls.contact", [{ between, position_mm: center_mm, radius_mm: radius, is_open: isOpen }]);
+  }
+
+  /** What the recipe says of a place now. @param {Place} place @returns {{number: number, entry: Entry} | null} */
+  #said({ between, center_mm }) {
+    const lines = this.shaping.shape.value?.lines["walls.contact"] ?? [];
+    const at = lines.findIndex((one) => isPair(one.between, between) && distance(one.position_mm, center_mm) <= one.radius_mm);
+    return at < 0 ? null : { number: at + 1, entry: lines[at] };
+  }
+
+  /** @param {Place} place */
+  #isApart({ between }) {
+    return (this.shaping.shape.value?.lines["walls.septum"] ?? []).some((one) => isPair(one.between, between));
+  }
+
+  /** @param {Vector} mm */
+  #picture(mm) {
+    const key = mm.join(" ");
+    const picture = element("img", "place-picture");
+    picture.width = 168;
+    picture.height = 84;
+    picture.alt = picture.title = say("contact_picture");
+    let url = this.#pictures.get(key);
+    if (url === undefined) {
+      url = this.ask({ do: "picture", position_mm: mm }).then((answer) => String(answer.url));
+      this.#pictures.set(key, url);
+    }
+    url.then((found) => (picture.src = found)).catch(() => {
+      this.#pictures.delete(key);
+      picture.hidden = true;
+    });
+    return picture;
+  }
+}
+
+/** @param {import("../shared/words.js").Word} word @param {() => void} act */
+function button(word, act) {
+  const found = element("button", "fly", say(word));
+  found.type = "button";
+  found.addEventListener("click", ({ detail }) => {
+    if (detail < 2) act();
+  });
+  return found;
+}
+
+/** Diameter of a circle of this area. @param {number} area */
+const diameterOf = (area) => 2 * Math.sqrt(area / Math.PI);
+
+/** What every label of a chamber begins with says little beside its side. @param {readonly string[]} names */
+export function pairWords(names) {
+  return names.map((name) => name.replace(/^morphologically /, "")).join(" – ");
+}
+
+/** @param {readonly string[]} one @param {readonly string[]} other */
+function isPair(one, other) {
+  const [a, b] = [one, other].map((names) => names.map((name) => name.toLowerCase()).sort().join("\n"));
+  return a === b;
+}

@@ -1,0 +1,96 @@
+"""Figures of an incision, as a page is told them while it looks at them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.simulator.incisions.figures import IncisionFigures
+from heartcase.simulator.live.figures_worker import figures_of
+from heartcase.studio.operating.live_figures import told_figures
+from tests.hollow_case import hollow_case
+from tests.simulator.live.scenes import until
+from tests.studio.operating.performing import operator, theatre
+
+
+@pytest.fixture(scope="module")
+def hollow(tmp_path_factory):
+    path = tmp_path_factory.mktemp("hollow") / "hollow.case"
+    write_bundle(path, hollow_case())
+    with theatre(path, path.parent) as (browser, opened):
+        yield browser, opened
+
+
+def figures(page, check):
+    """The next message with figures of which something is so."""
+    while not check(found := page.hear("figures")):
+        pass
+    return found
+
+
+def test_a_planned_incision_is_cut_and_held_open_and_its_figures_follow(hollow):
+    browser, opened = hollow
+    with operator(browser, opened) as page:
+        stage = opened.places["operating"]._stage
+        assert page.opened["incisions"] == ["lid"]
+        page.until(lambda frame: frame["step"] > 0)
+        # nothing is worked out that nobody looks at
+        assert stage.figures._worker is None
+        assert page.ask("hold_open", incision=0)["kind"] == "refused"
+        assert page.ask("cut_planned", incision="attic")["kind"] == "refused"
+        page.done("figures", shown=True)
+        assert figures(page, lambda _: True)["cuts"] == []
+        page.done("cut_planned", incision="lid")
+        page.until(lambda frame: frame["act_count"] == 1)
+        closed = figures(page, lambda one: one["found"] is not None)
+        assert (closed["cuts"], closed["found"]["name"]) == (["lid"], "lid")
+        assert closed["found"]["hand_force_n"] == {}
+        page.done("hold_open", incision=0)
+        page.until(lambda frame: len(frame["instruments"]) == 4)
+        page.until(lambda frame, goal=page.frames[-1]["time_s"] + 0.6: frame["time_s"] > goal)
+        page.done("pause", paused=True)
+        step = page.until(lambda frame: frame["mode"] == "paused")["step"]
+        told = figures(page, lambda one: one["found"] is not None and one["found"]["step"] == step)["found"]
+        # the same that a program gets for this moment
+        live = stage.live.newest
+        landmarks = stage._case.manifest.landmarks
+        exact = figures_of(live, stage.incisions.whole, landmarks, reaches=False)
+        assert told["defects"] == json.loads(
+            json.dumps([{"name": "hole", "rim_found": 1.0, "figures": told_figures(exact.defects["hole"])}])
+        )
+        assert told["defects"][0]["figures"]["gap_mm"] > 5.0
+        assert told["defects"][0]["figures"]["rim_seen"] > closed["found"]["defects"][0]["figures"]["rim_seen"]
+        assert set(told["hand_force_n"]) == {"one lip 1", "one lip 2", "other lip 1", "other lip 2"}
+        # who looks at something else ends the process
+        process = stage.figures._worker._process
+        page.done("figures", shown=False)
+        assert not process.is_alive()
+        page.done("begin")
+        page.until(lambda frame: frame["act_count"] == 0)
+
+
+def test_a_page_that_goes_ends_what_was_worked_out_for_it(hollow):
+    browser, opened = hollow
+    with operator(browser, opened) as page, operator(browser, opened) as other:
+        page.done("figures", shown=True)
+        other.done("figures", shown=True)
+        worker = opened.places["operating"]._stage.figures._worker
+        page.done("figures", shown=False)
+        assert worker._process.is_alive()
+        # one that ended by itself is begun anew when it is asked for
+        worker._process.kill()
+        worker._process.join(10.0)
+        other.done("figures", shown=True)
+        worker = opened.places["operating"]._stage.figures._worker
+        assert worker._process.is_alive()
+    until(lambda: not worker._process.is_alive())
+
+
+def test_what_is_no_number_is_told_as_unknown():
+    found = told_figures(IncisionFigures("one", gap_mm=np.inf, length_mm=3.0, nearest_mm={"vessel": 2.0}))
+    assert (found["gap_mm"], found["length_mm"], found["rim_seen"]) == (None, 3.0, None)
+    assert (found["nearest_vessel_mm"], found["worst_stitch"]) == (2.0, None)
+    json.dumps(found, allow_nan=False)
