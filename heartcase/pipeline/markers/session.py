@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_voxels
 from heartcase.pipeline.markers.locks import Locks
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
+from heartcase.pipeline.markers.stroke_notes import StrokeNotes
 from heartcase.pipeline.watershed.forest import Box, load_stroke_kernels, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
@@ -28,15 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["SegmentationSession"]
 
 AXES = ("i", "j", "k")
-
-
-@dataclass(frozen=True)
-class _Done:
-    """A stroke, and what was marked where it went."""
-
-    stroke: Stroke
-    voxels: Int64
-    before: UInt8
 
 
 class SegmentationSession:
@@ -91,7 +83,8 @@ class SegmentationSession:
         self.table = table
         self._whole = whole or geometry
         self._forest = solve_forest(tree, painted)
-        self._done: list[_Done] = []
+        self._strokes: list[Stroke] = []
+        self._notes = StrokeNotes()
         self._undone: list[Stroke] = []
         self._changed: Box | None = None
         self._locks = Locks((), self._forest.labels)
@@ -221,13 +214,13 @@ class SegmentationSession:
             A point is not three finite numbers, there is none, or a locked structure would change. Nothing is changed
             then.
         """
-        if not self._done or self._undone:
+        if not self._strokes or self._undone:
             raise UsageError("there is no stroke to go on with: begin one", place="extend")
-        last = self._done[-1]
-        stated = last.stroke.model_dump(exclude={"points_mm"})
+        last = self._strokes[-1]
+        stated = last.model_dump(exclude={"points_mm"})
         try:
-            piece = Stroke.model_validate(stated | {"points_mm": (last.stroke.points_mm[-1], *points_mm)})
-            whole = Stroke.model_validate(stated | {"points_mm": (*last.stroke.points_mm, *points_mm)})
+            piece = Stroke.model_validate(stated | {"points_mm": (last.points_mm[-1], *points_mm)})
+            whole = Stroke.model_validate(stated | {"points_mm": (*last.points_mm, *points_mm)})
         except ValidationError as error:
             raise MarkerError(problems_from_validation(error, place="stroke")) from None
         if len(piece.points_mm) == 1:
@@ -238,7 +231,8 @@ class SegmentationSession:
         before = marked.ravel()[voxels]
         box = self._mark(voxels, np.full(len(voxels), value, np.uint8))
         self._check_locks(value, box, voxels, before)
-        self._done[-1] = _Done(whole, np.concatenate((last.voxels, voxels)), np.concatenate((last.before, before)))
+        self._strokes[-1] = whole
+        self._notes.extend(voxels, before)
         return self._note(box)
 
     def undo(self) -> Box | None:
@@ -249,11 +243,10 @@ class SegmentationSession:
         UsageError
             There is no stroke of this session to take back.
         """
-        if not self._done:
+        if not self._strokes:
             raise UsageError("there is no stroke to take back", place="undo")
-        last = self._done.pop()
-        self._undone.append(last.stroke)
-        return self._note(self._mark(last.voxels, last.before))
+        self._undone.append(self._strokes.pop())
+        return self._note(self._mark(*self._notes.pop()))
 
     def redo(self) -> Box | None:
         """Paint the stroke again that was taken back last; the box in which labels changed.
@@ -319,7 +312,7 @@ class SegmentationSession:
     @property
     def strokes(self) -> tuple[Stroke, ...]:
         """The strokes of this session that hold, in order: what goes into the recipe."""
-        return tuple(done.stroke for done in self._done)
+        return tuple(self._strokes)
 
     @property
     def redo_count(self) -> int:
@@ -426,7 +419,8 @@ class SegmentationSession:
         box = self._mark(voxels, np.full(len(voxels), value, np.uint8))
         if minds_locks:
             self._check_locks(value, box, voxels, before)
-        self._done.append(_Done(stroke, voxels, before))
+        self._strokes.append(stroke)
+        self._notes.push(voxels, before)
         return self._note(box)
 
     def _reached(self, stroke: Stroke) -> tuple[Int64, int, UInt8]:
