@@ -191,6 +191,10 @@ class Painting:
                 self._close_stroke()
                 lock_label(session, request.label, is_locked=request.locked, file=self._locks)
                 return self._told(request, self._structures())
+            case Picture():
+                scan = self._opened.scan
+                url = place_picture(scan, session.labels, session.table, request.position_mm, _window(scan))
+                return Answer(done=text_message("picture", id=request.id, url=url))
             case Look():
                 shown = self._shown.setdefault(page, Shown(session))
                 shown.look(planes_in_voxels(request.planes, session.geometry))
@@ -199,10 +203,6 @@ class Painting:
                 session.catch_up()
                 shown = self._shown.setdefault(page, Shown(session))
                 return Answer(for_each={page: shown.rest()}, done=self._seen(request, shown))
-            case Picture():
-                scan = self._opened.scan
-                url = place_picture(scan, session.labels, session.table, request.position_mm, _window(scan))
-                return Answer(done=text_message("picture", id=request.id, url=url))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
 
