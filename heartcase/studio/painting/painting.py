@@ -180,7 +180,7 @@ class Painting:
                 find = self._shaping.find_ends()
                 return Answer(later=lambda: (text_message("found_ends", id=request.id, **find()),))
             case Preview():
-                return Answer(later=_preview(request, self._shaping.preview()))
+                return Answer(later=_preview(request, self._shaping.preview(is_coarse=request.coarse)))
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
