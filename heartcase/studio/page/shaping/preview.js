@@ -10,7 +10,7 @@ import { language, say } from "../shared/words.js";
 /** Strokes and acts that follow on each other at once are waited for. */
 const WAIT_MS = 20;
 /** Until the first look is followed by the fine one. */
-const FINE_AFTER_MS = 400;
+const FINE_AFTER_MS = 500;
 
 export class Preview {
   isOn = new Signal(false);
