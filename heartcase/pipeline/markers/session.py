@@ -130,9 +130,9 @@ class SegmentationSession:
         load_stroke_kernels()
         self._forest.puts_off = True
 
-    def catch_up(self) -> None:
-        """Work out, of what is put off, what the next stroke needs: it would wait for it."""
-        self._forest.fill_levels()
+    def catch_up(self) -> bool:
+        """Work out, of what is put off, what the next stroke needs and would wait for; whether there was anything."""
+        return self._forest.fill_levels()
 
     @property
     def put_off_tiles(self) -> Bool:

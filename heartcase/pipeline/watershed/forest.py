@@ -237,11 +237,13 @@ class Forest:
         bits, offsets = tree.height.view(np.int32).ravel(), side_offsets(tree.height.shape)
         return bits, tree.direction.ravel(), tree.basin.ravel(), offsets
 
-    def fill_levels(self) -> None:
-        """Work out levels that were put off."""
-        if self._parted is not None:
-            self._parted.fill_levels(self.foot_level)
-            self._parted = None
+    def fill_levels(self) -> bool:
+        """Work out levels that were put off; whether any were."""
+        if self._parted is None:
+            return False
+        self._parted.fill_levels(self.foot_level)
+        self._parted = None
+        return True
 
     def _divide_flats(self, voxels: Int64) -> None:
         tree = self.tree

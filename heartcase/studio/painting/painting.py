@@ -200,9 +200,10 @@ class Painting:
                 shown.look(planes_in_voxels(request.planes, session.geometry))
                 return Answer(for_each={page: shown.in_sight()}, done=self._seen(request, shown))
             case Rest():
-                session.catch_up()
                 shown = self._shown.setdefault(page, Shown(session))
-                return Answer(for_each={page: shown.rest()}, done=self._seen(request, shown))
+                # one thing at a time: a stroke may be waiting
+                messages = () if session.catch_up() else shown.rest()
+                return Answer(for_each={page: messages}, done=self._seen(request, shown))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
 
