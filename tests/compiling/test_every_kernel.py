@@ -102,6 +102,7 @@ def test_a_session_paints_and_erases(out, tmp_path):
     session.paint(Stroke(erase=True, radius_mm=3.0, points_mm=[(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)]))
     assert session.suggest(count=2).places
     session.undo(), session.undo()
+    session.put_off()
     np.testing.assert_array_equal(session.labels, before)
 
 

@@ -79,6 +79,11 @@ def request(drawn, middle):
             {"do": "redo"},
             {"do": "suggest", "count": 2},
             {"do": "planes"},
+            {
+                "do": "look",
+                "planes": [{"point_mm": points[0], "normal": drawn.choice(([0, 0, 1], [0.6, 0, 0.8], [0, 0, 0]))}],
+            },
+            {"do": "rest"},
             {"do": "picture", "position_mm": points[0]},
             {"do": "confirm", "position_mm": points[0], "label": label, "rival": "background"},
             {"do": "lock", "label": label, "locked": drawn.choice((True, False))},

@@ -32,6 +32,8 @@ MOST_VOXELS = 1_500_000
 """Up to so many all voxels are taken, where an end or an edit meets nothing on the coarse lattice."""
 POINTS = 500_000
 """Points of the lattice that the surface is extracted on."""
+FIRST_SHARE = 0.2
+"""Of voxels and points, for a first look."""
 MARGIN_MM = 6.0
 """Room around the labels beside the thickest wall."""
 _LINE = re.compile(r"^(ends|edits)\[(\d+)\]")
@@ -58,7 +60,9 @@ class QuickSurface:
     """What is wrong with ends or edits; these are not in the surface then."""
 
 
-def quick_surface(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke] = ()) -> QuickSurface:
+def quick_surface(
+    segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke] = (), *, is_coarse: bool = False
+) -> QuickSurface:
     """Make the surface, coarsely.
 
     Parameters
@@ -69,6 +73,8 @@ def quick_surface(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[
         Walls, ends and edits.
     strokes
         Painted strokes beside those of the recipe: a stroke over two cavities opens the septum there.
+    is_coarse
+        Whether it is made of a fifth of the voxels and points, for a first look.
 
     Raises
     ------
@@ -78,8 +84,9 @@ def quick_surface(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[
     table = recipe.table
     whole = replace(segmentation, table=table, labels=np.where(segmentation.labels == UNMARKED, 0, segmentation.labels))
     near = _cropped(whole, recipe)
-    coarse, is_coarse = _thinned(near)
-    tries = [coarse, near] if is_coarse and near.labels.size <= MOST_VOXELS else [coarse]
+    share = FIRST_SHARE if is_coarse else 1.0
+    coarse, is_thinned = _thinned(near, share)
+    tries = [coarse, near] if is_thinned and not is_coarse and near.labels.size <= MOST_VOXELS else [coarse]
     problems: tuple[Problem, ...] = ()
     wrong: frozenset[_Line] = frozenset()
     # Without what is wrong, so that the rest is seen; problems of all parts are told.
@@ -88,7 +95,7 @@ def quick_surface(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[
         asked, ends = _without(recipe, wrong)
         for one in tries:
             try:
-                return _surface(_structures(one, asked, strokes), one, problems)
+                return _surface(_structures(one, asked, strokes), one, problems, share)
             except StageError as error:
                 found = tuple(_as_in_recipe(problem, ends) for problem in error.problems)
         problems = (*problems, *(one for one in found if one not in problems))
@@ -99,11 +106,11 @@ def quick_surface(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[
     # where no line is to blame, all edits are left out, and then all ends
     plain = asked.model_copy(update={"edits": ()})
     try:
-        return _surface(_structures(coarse, plain, strokes), coarse, problems)
+        return _surface(_structures(coarse, plain, strokes), coarse, problems, share)
     except StageError as error:
         problems = (*(one for one in error.problems if one not in problems), *problems)
     bare = plain.model_copy(update={"ends": (), "walls": recipe.walls.model_copy(update={"find_ends": False})})
-    return _surface(_structures(coarse, bare, strokes), coarse, problems)
+    return _surface(_structures(coarse, bare, strokes), coarse, problems, share)
 
 
 def _without(recipe: Recipe, wrong: frozenset[_Line]) -> tuple[Recipe, list[int]]:
@@ -140,8 +147,10 @@ def _structures(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[St
     return apply_edits(grow_walls(segmentation, walls, recipe.ends, open_places=places), recipe.edits)
 
 
-def _surface(structures: Structures, segmentation: Segmentation, problems: tuple[Problem, ...]) -> QuickSurface:
-    mesh = extract(structures, point_cap=POINTS)
+def _surface(
+    structures: Structures, segmentation: Segmentation, problems: tuple[Problem, ...], share: float
+) -> QuickSurface:
+    mesh = extract(structures, point_cap=int(share * POINTS))
     owner = ownership_at_points(structures, mesh.vertices_mm)
     palette = _palette(structures.table)
     colours = np.where((mesh.void_label == BACKGROUND)[:, None], palette[owner.tissue_label], palette[mesh.void_label])
@@ -178,10 +187,10 @@ def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
     return replace(segmentation, labels=part, geometry=geometry.cropped((i, j, k), part.shape[::-1]))
 
 
-def _thinned(segmentation: Segmentation) -> tuple[Segmentation, bool]:
+def _thinned(segmentation: Segmentation, share: float) -> tuple[Segmentation, bool]:
     """Every second voxel or fewer, about as far apart along all axes; and whether any are left out."""
     geometry, spacing = segmentation.geometry, np.array(segmentation.geometry.spacing_mm)
-    apart_mm = float(np.cbrt(segmentation.labels.size * spacing.prod() / VOXELS))
+    apart_mm = float(np.cbrt(segmentation.labels.size * spacing.prod() / (share * VOXELS)))
     steps = np.maximum(np.rint(apart_mm / spacing), 1).astype(int)
     if (steps == 1).all():
         return segmentation, False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,8 @@ from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
 from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_voxels
 from heartcase.pipeline.markers.locks import Locks
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
-from heartcase.pipeline.watershed.forest import Box, solve_forest
+from heartcase.pipeline.markers.stroke_notes import StrokeNotes
+from heartcase.pipeline.watershed.forest import Box, load_stroke_kernels, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
 from heartcase.schemas.errors import MarkerError, UsageError, problems_from_validation
@@ -28,15 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["SegmentationSession"]
 
 AXES = ("i", "j", "k")
-
-
-@dataclass(frozen=True)
-class _Done:
-    """A stroke, and what was marked where it went."""
-
-    stroke: Stroke
-    voxels: Int64
-    before: UInt8
 
 
 class SegmentationSession:
@@ -91,7 +83,8 @@ class SegmentationSession:
         self.table = table
         self._whole = whole or geometry
         self._forest = solve_forest(tree, painted)
-        self._done: list[_Done] = []
+        self._strokes: list[Stroke] = []
+        self._notes = StrokeNotes()
         self._undone: list[Stroke] = []
         self._changed: Box | None = None
         self._locks = Locks((), self._forest.labels)
@@ -134,11 +127,12 @@ class SegmentationSession:
         :attr:`put_off_tiles` says where labels may have changed. Nothing that is asked for is ever of before:
         :meth:`labels_of_boxes` works out what it needs, and all else works out the rest first.
         """
+        load_stroke_kernels()
         self._forest.puts_off = True
 
-    def catch_up(self) -> None:
-        """Work out, of what is put off, what the next stroke needs: it would wait for it."""
-        self._forest.fill_levels()
+    def catch_up(self) -> bool:
+        """Work out, of what is put off, what the next stroke needs and would wait for; whether there was anything."""
+        return self._forest.fill_levels()
 
     @property
     def put_off_tiles(self) -> Bool:
@@ -149,6 +143,10 @@ class SegmentationSession:
     def tile_stamps(self) -> Int64:
         """By tile: higher, the later it was that a label which was put off turned out to be another one; a copy."""
         return self._forest.stamps.copy()
+
+    def settle_boxes(self, boxes: Sequence[Box]) -> None:
+        """Work out labels that are put off in some boxes, as :meth:`labels_of_boxes` does."""
+        self._forest.settle_boxes(boxes)
 
     def labels_of_boxes(self, boxes: Sequence[Box]) -> list[UInt8]:
         """Labels in some boxes of slices [z, y, x], copies; what is put off elsewhere stays so.
@@ -216,13 +214,13 @@ class SegmentationSession:
             A point is not three finite numbers, there is none, or a locked structure would change. Nothing is changed
             then.
         """
-        if not self._done or self._undone:
+        if not self._strokes or self._undone:
             raise UsageError("there is no stroke to go on with: begin one", place="extend")
-        last = self._done[-1]
-        stated = last.stroke.model_dump(exclude={"points_mm"})
+        last = self._strokes[-1]
+        stated = last.model_dump(exclude={"points_mm"})
         try:
-            piece = Stroke.model_validate(stated | {"points_mm": (last.stroke.points_mm[-1], *points_mm)})
-            whole = Stroke.model_validate(stated | {"points_mm": (*last.stroke.points_mm, *points_mm)})
+            piece = Stroke.model_validate(stated | {"points_mm": (last.points_mm[-1], *points_mm)})
+            whole = Stroke.model_validate(stated | {"points_mm": (*last.points_mm, *points_mm)})
         except ValidationError as error:
             raise MarkerError(problems_from_validation(error, place="stroke")) from None
         if len(piece.points_mm) == 1:
@@ -233,7 +231,8 @@ class SegmentationSession:
         before = marked.ravel()[voxels]
         box = self._mark(voxels, np.full(len(voxels), value, np.uint8))
         self._check_locks(value, box, voxels, before)
-        self._done[-1] = _Done(whole, np.concatenate((last.voxels, voxels)), np.concatenate((last.before, before)))
+        self._strokes[-1] = whole
+        self._notes.extend(voxels, before)
         return self._note(box)
 
     def undo(self) -> Box | None:
@@ -244,11 +243,10 @@ class SegmentationSession:
         UsageError
             There is no stroke of this session to take back.
         """
-        if not self._done:
+        if not self._strokes:
             raise UsageError("there is no stroke to take back", place="undo")
-        last = self._done.pop()
-        self._undone.append(last.stroke)
-        return self._note(self._mark(last.voxels, last.before))
+        self._undone.append(self._strokes.pop())
+        return self._note(self._mark(*self._notes.pop()))
 
     def redo(self) -> Box | None:
         """Paint the stroke again that was taken back last; the box in which labels changed.
@@ -314,7 +312,7 @@ class SegmentationSession:
     @property
     def strokes(self) -> tuple[Stroke, ...]:
         """The strokes of this session that hold, in order: what goes into the recipe."""
-        return tuple(done.stroke for done in self._done)
+        return tuple(self._strokes)
 
     @property
     def redo_count(self) -> int:
@@ -421,7 +419,8 @@ class SegmentationSession:
         box = self._mark(voxels, np.full(len(voxels), value, np.uint8))
         if minds_locks:
             self._check_locks(value, box, voxels, before)
-        self._done.append(_Done(stroke, voxels, before))
+        self._strokes.append(stroke)
+        self._notes.push(voxels, before)
         return self._note(box)
 
     def _reached(self, stroke: Stroke) -> tuple[Int64, int, UInt8]:

@@ -43,7 +43,7 @@ from heartcase.pipeline.watershed.plateaus import divide_flat
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
 from heartcase.schemas.arrays import Bool, Int16, Int32, Int64, UInt8
 
-__all__ = ["Box", "Forest", "solve_forest"]
+__all__ = ["Box", "Forest", "load_stroke_kernels", "solve_forest"]
 
 Box = tuple[slice, slice, slice]
 
@@ -53,7 +53,7 @@ MOST_MENDED = 0.005
 quicker."""
 MOST_AT_ONCE = 100_000
 """Voxels in basins that changed that are painted at once where painting may be put off."""
-MOST_LISTED = 1_000_000
+MOST_LISTED = 300_000
 """Voxels in basins that changed up to which their tiles are looked up; with more, all are painted anew."""
 WHOLE_SHARE = 0.15
 """Share of the voxels in basins that changed from which on all voxels are painted anew: rows are quicker than lists."""
@@ -237,11 +237,13 @@ class Forest:
         bits, offsets = tree.height.view(np.int32).ravel(), side_offsets(tree.height.shape)
         return bits, tree.direction.ravel(), tree.basin.ravel(), offsets
 
-    def fill_levels(self) -> None:
-        """Work out levels that were put off."""
-        if self._parted is not None:
-            self._parted.fill_levels(self.foot_level)
-            self._parted = None
+    def fill_levels(self) -> bool:
+        """Work out levels that were put off; whether any were."""
+        if self._parted is None:
+            return False
+        self._parted.fill_levels(self.foot_level)
+        self._parted = None
+        return True
 
     def _divide_flats(self, voxels: Int64) -> None:
         tree = self.tree
@@ -331,6 +333,24 @@ def solve_forest(tree: BasinTree, markers: UInt8) -> Forest:
     )
     forest.solve()
     return forest
+
+
+def load_stroke_kernels() -> None:
+    """Have the kernels at hand that strokes call: a first one would wait for each of them to be loaded."""
+    from heartcase.pipeline.watershed.tree import build_basin_tree
+
+    shape = (4, 4, 4)
+    # every second voxel is a basin
+    height = (np.indices(shape).sum(axis=0) % 2 + np.arange(64).reshape(shape) / 64).astype(np.float32)
+    forest = solve_forest(build_basin_tree(height), np.full(shape, UNMARKED, np.uint8))
+    forest.puts_off = True
+    for voxel, label in ((0, 1), (63, 2), (63, UNMARKED)):
+        forest.paint(np.array([voxel]), label)
+    first_voxel, voxel_list = forest.tree.voxels
+    tiles_of(np.arange(forest.tree.basin_count), first_voxel, voxel_list, shape, forest.put_off)
+    forest.settle_boxes([(slice(0, 1), slice(0, 4), slice(0, 4))])
+    forest.label_counts(), forest.painted_counts()
+    forest.settle()
 
 
 def _around_both(one: Box | None, other: Box | None) -> Box | None:

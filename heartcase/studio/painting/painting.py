@@ -61,8 +61,6 @@ _WINDOW_PERCENTILES = (1.0, 99.5)
 class Answer:
     """What comes of a request."""
 
-    for_each: Mapping[object, tuple[bytes, ...]] = field(default_factory=dict)
-    """Messages for some pages alone, before all others."""
     for_all: tuple[str | bytes, ...] = ()
     """Messages for every page on the recipe, in this order."""
     done: str | None = None
@@ -70,6 +68,8 @@ class Answer:
     later: Callable[[], tuple[str | bytes, ...]] | None = None
     """What takes long and looks at nothing that changes: it may run beside other requests, and gives what is told to
     the page that asked."""
+    for_each: Mapping[object, tuple[bytes, ...]] = field(default_factory=dict)
+    """Messages for some pages alone, before those for all."""
 
 
 class Painting:
@@ -91,9 +91,9 @@ class Painting:
         self._shaping = Shaping(history, opened.session)
         self._drawn_by: object | None = None
         self._locks = locks
-        self._right = locks.with_name(locks.name.replace(".locks.", ".right."))
         self._shown: dict[object, Shown] = {}
         opened.session.put_off()
+        self._right = locks.with_name(locks.name.replace(".locks.", ".right."))
         lock_again(opened.session, locks)
         confirm_again(opened.session, self._right)
 
@@ -180,7 +180,7 @@ class Painting:
                 find = self._shaping.find_ends()
                 return Answer(later=lambda: (text_message("found_ends", id=request.id, **find()),))
             case Preview():
-                return Answer(later=_preview(request, self._shaping.preview()))
+                return Answer(later=_preview(request, self._shaping.preview(is_coarse=request.coarse)))
             case Suggest():
                 found = session.suggest(count=request.count).as_json(session.table)
                 return Answer(done=text_message("places", id=request.id, **found))
@@ -198,11 +198,12 @@ class Painting:
             case Look():
                 shown = self._shown.setdefault(page, Shown(session))
                 shown.look(planes_in_voxels(request.planes, session.geometry))
-                return Answer({page: shown.in_sight()}, done=self._seen(request, shown))
+                return Answer(for_each={page: shown.in_sight()}, done=self._seen(request, shown))
             case Rest():
-                session.catch_up()
                 shown = self._shown.setdefault(page, Shown(session))
-                return Answer({page: shown.rest()}, done=self._seen(request, shown))
+                # one thing at a time: a stroke may be waiting
+                messages = () if session.catch_up() else shown.rest()
+                return Answer(for_each={page: messages}, done=self._seen(request, shown))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
 
@@ -277,7 +278,7 @@ class Painting:
                 box = k, j, i
         labels = () if box is None else (boxes_message([box], session.labels_of_boxes([box])),)
         in_sight = {page: shown.in_sight() for page, shown in self._shown.items() if shown.has_rest}
-        return Answer(in_sight, (*labels, self._done()), self._done(request))
+        return Answer((*labels, self._done()), self._done(request), for_each=in_sight)
 
     def _done(self, request: Request | None = None) -> str:
         number = {} if request is None else {"id": request.id}

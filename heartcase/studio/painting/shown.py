@@ -10,16 +10,16 @@ import numpy as np
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.watershed.forest import Box
 from heartcase.pipeline.watershed.painting import TILE
-from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
+from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.studio.messages import boxes_message
 from heartcase.studio.painting.requests import SeenPlane
 
 __all__ = ["Plane", "Shown", "planes_in_voxels"]
 
-SETTLED_AT_ONCE = 96
+SETTLED_AT_ONCE = 48
 """Tiles that are worked out for one request, at most: a few ms."""
-SENT_AT_ONCE = 32
+SENT_AT_ONCE = 24
 """Tiles that are sent for one request, at most."""
 _STRAIGHT = 1e-6
 _EDGE = 1e-3
@@ -92,7 +92,7 @@ class Shown:
                 boxes += [_tile_box(tile, shape) for tile in np.argwhere(self._unsent & (away <= reach))]
             elif (cropped := self._cropped(thin)) is not None:
                 boxes.append(cropped)
-        return self._messages(boxes, self._session.labels_of_boxes(boxes))
+        return self._messages(boxes)
 
     def rest(self) -> tuple[bytes, ...]:
         """Some of what was not sent yet, the nearest to the planes first."""
@@ -103,22 +103,21 @@ class Shown:
             away = np.minimum(away, self._distances(plane)[0])
         tiles = tiles[np.argsort(away[self._unsent], kind="stable")][:SETTLED_AT_ONCE]
         boxes = [_tile_box(tile, session.geometry.shape) for tile in tiles]
-        labels, stamps = session.labels_of_boxes(boxes), session.tile_stamps
+        session.settle_boxes(boxes)
+        stamps = session.tile_stamps
         sent: list[Box] = []
-        parts: list[UInt8] = []
-        for tile, box, part in zip(tiles, boxes, labels, strict=True):
+        for tile, box in zip(tiles, boxes, strict=True):
             at = tuple(tile)
             if stamps[at] > self._sent[at]:
                 if len(sent) == SENT_AT_ONCE:
                     continue
                 sent.append(box)
-                parts.append(part)
             self._unsent[at] = False
             self._sent[at] = stamps[at]
-        return self._messages(sent, parts)
+        return self._messages(sent)
 
-    def _messages(self, boxes: Sequence[Box], parts: Sequence[UInt8]) -> tuple[bytes, ...]:
-        return (boxes_message(boxes, parts),) if boxes else ()
+    def _messages(self, boxes: Sequence[Box]) -> tuple[bytes, ...]:
+        return (boxes_message(boxes, self._session.labels_of_boxes(boxes)),) if boxes else ()
 
     def _cropped(self, box: Box) -> Box | None:
         """The part of a box around the tiles in it that were not sent yet."""

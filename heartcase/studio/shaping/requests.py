@@ -118,6 +118,8 @@ class Preview(Model):
     """Number that the answer names."""
     do: Literal["preview"]
     """Which request."""
+    coarse: bool = False
+    """Whether it should come sooner rather than finely: while strokes follow on each other."""
 
 
 ShapingRequest = Add | Change | Remove | Set | FindEnds | Propose | Preview

@@ -131,8 +131,13 @@ class Shaping:
 
         return find
 
-    def preview(self) -> Callable[[], QuickSurface]:
+    def preview(self, *, is_coarse: bool = False) -> Callable[[], QuickSurface]:
         """What makes the surface of the labels and the recipe as they are now.
+
+        Parameters
+        ----------
+        is_coarse
+            Whether it should come sooner rather than finely.
 
         Raises
         ------
@@ -140,7 +145,7 @@ class Shaping:
             Nothing is painted.
         """
         segmentation, recipe, strokes = self._session.segmentation(), self._history.recipe, self._session.strokes
-        return lambda: quick_surface(segmentation, recipe, strokes)
+        return lambda: quick_surface(segmentation, recipe, strokes, is_coarse=is_coarse)
 
 
 def _stumps(recipe: Recipe, segmentation: Segmentation) -> Stumps:

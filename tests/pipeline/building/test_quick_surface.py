@@ -85,6 +85,19 @@ def test_walls_are_as_thick_as_they_are_stated_on_every_other_voxel():
     assert (np.einsum("ij,ij->i", surface.normals[outer].astype(float), towards) > 0.0).all()
 
 
+def test_a_first_look_has_the_same_walls_to_about_a_voxel_of_its_own():
+    fine, first = (quick_surface(two_balls(128, 0.5), recipe(), is_coarse=is_coarse) for is_coarse in (False, True))
+    voxel = first.spacing_mm[0]
+    assert fine.spacing_mm[0] < voxel < 4.0
+    assert len(first.triangles) < 0.8 * len(fine.triangles)
+    for side in (-0.5, 0.5):
+        away = np.linalg.norm(first.vertices_mm - [side * APART, 0.0, 0.0], axis=1)
+        # the cavity's wall is what lies nearest to its middle
+        inner = away[away < RADIUS + 1.5]
+        assert len(inner) > 100
+        assert abs(inner - RADIUS).max() < voxel
+
+
 def test_a_defect_makes_one_cavity_of_two_and_what_meets_nothing_is_told_and_left_out():
     segmentation = two_balls()
     surface = quick_surface(segmentation, recipe(DEFECT))

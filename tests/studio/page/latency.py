@@ -2,12 +2,13 @@
 
     python -m tests.studio.page.latency --make FOLDER --size 160x200x200
     heartcase studio FOLDER/latency.toml
-    python -m tests.studio.page.latency ADDRESS [--moves 300]
+    python -m tests.studio.page.latency ADDRESS [--moves 300] [--preview 20]
 
 The first makes a scan of balls in noise: 160x200x200 are 6.4 million voxels, 320x400x400 are 51 million. ADDRESS is
 what ``heartcase studio`` printed. Strokes are drawn from the middle of the axial slice outwards, and taken
 back. Measured inside the page: from the time stamp of the pointer's event until the slices with the changed labels are
-drawn (read back from the graphics card); what the screen itself takes is at most one frame more.
+drawn (read back from the graphics card); what the screen itself takes is at most one frame more. With ``--preview``
+also from the end of a stroke until the quick surface of what was painted is drawn, after so many strokes.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ window.measured = [];
 {
   // movements that were sent, by the number of their request: when the pointer moved, and when it was sent
   const sent = new Map();
+  let endedAt = null, hasSurface = false; // a stroke, and whether its surface came
+  addEventListener("pointerup", (event) => { [endedAt, hasSurface] = [event.timeStamp, false]; }, true);
+  window.surfaces = [];
   let moved = null, cameAt = null, hasLabels = false, shown = null;
   addEventListener("pointermove", (event) => { if (event.buttons && moved === null) moved = event.timeStamp; }, true);
   const Plain = WebSocket;
@@ -36,6 +40,11 @@ window.measured = [];
       super(...all);
       this.addEventListener("message", ({ data }) => {
         if (typeof data !== "string") {
+          const head = new TextDecoder().decode(new Uint8Array(data, 4, Math.min(data.byteLength - 4, 40)));
+          if (head.includes('"surface"')) {
+            if (endedAt !== null) hasSurface = true;
+            return;
+          }
           cameAt ??= performance.now();
           hasLabels = true;
           return;
@@ -58,7 +67,14 @@ window.measured = [];
       super.send(data);
     }
   };
-  const { drawArrays } = WebGL2RenderingContext.prototype;
+  const { drawArrays, drawElements } = WebGL2RenderingContext.prototype;
+  WebGL2RenderingContext.prototype.drawElements = function (...all) {
+    drawElements.apply(this, all);
+    if (!hasSurface) return;
+    this.readPixels(0, 0, 1, 1, this.RGBA, this.UNSIGNED_BYTE, new Uint8Array(4));
+    window.surfaces.push(performance.now() - endedAt);
+    [endedAt, hasSurface] = [null, false];
+  };
   WebGL2RenderingContext.prototype.drawArrays = function (...all) {
     drawArrays.apply(this, all);
     if (shown === null) return;
@@ -99,6 +115,7 @@ def main() -> int:
     parser.add_argument("--make", type=Path, metavar="FOLDER")
     parser.add_argument("--size", default="160x200x200")
     parser.add_argument("--moves", type=int, default=300)
+    parser.add_argument("--preview", type=int, default=0, help="strokes after which the quick surface is waited for")
     parser.add_argument("--shot", help="picture of the page at the end")
     given = parser.parse_args()
     if given.make:
@@ -129,6 +146,19 @@ def main() -> int:
             tab.wait_for_timeout(250)
             strokes += 1
         found = np.array(tab.evaluate("() => window.measured"))
+        if given.preview:
+            tab.locator("#preview-on").check()
+            tab.locator("#preview-state").get_by_text("", exact=True).wait_for(state="attached")
+            tab.wait_for_timeout(5000)
+        for number in range(given.preview):
+            tab.keyboard.press(str(number % 5))
+            tab.mouse.move(middle[0] + 30 * math.cos(number), middle[1] + 30 * math.sin(number))
+            tab.mouse.down()
+            tab.mouse.move(middle[0] + 34 * math.cos(number), middle[1] + 34 * math.sin(number))
+            tab.mouse.up()
+            tab.wait_for_timeout(3000)
+        strokes += given.preview
+        surfaces = tab.evaluate("() => window.surfaces")
         if given.shot:
             tab.screenshot(path=given.shot)
         for _ in range(strokes):
@@ -141,6 +171,8 @@ def main() -> int:
     ):
         half, most = np.percentile(times, [50, 99])
         print(f"{name:24} {half:8.1f} {most:8.1f} {times.max():8.1f}")
+    if surfaces:
+        print(f"{len(surfaces)} surfaces, ms: median {np.median(surfaces):.0f}, most {max(surfaces):.0f}")
     return 0
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.building.session_file import open_session
+from heartcase.pipeline.watershed import forest
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.studio.page.browsing import BLOCK, FRAMES, SIZE, browsing, mm_of, pixel_of, until
 
@@ -142,6 +143,28 @@ def test_a_stroke_by_mouse_labels_the_right_voxels_in_all_slices_and_is_in_the_r
         page.saved(2)
         for view in FRAMES:
             assert_shown(page, view, session.labels, session.table, MIDDLE.astype(int), affine)
+
+
+def test_slices_that_are_shown_come_first_and_others_are_right_when_they_are_scrolled_to(
+    chromium, painted, monkeypatch
+):
+    # every stroke is one that changes more than is worked out at once
+    monkeypatch.setattr(forest, "MOST_AT_ONCE", 0)
+    server, path, affine = painted
+    corner, middle = mm_of([4, 24, 17], affine)[0], mm_of(MIDDLE, affine)[0]
+    with browsing(chromium, server) as page:
+        page.plain()
+        look_at(page, middle, affine)
+        for number, (key, at_mm) in enumerate((("0", corner), ("5", middle)), start=1):
+            page.tab.keyboard.press(key)
+            stroke(page, "axial", [at_mm, off(at_mm, 2.0, 0, 0)], affine)
+            page.saved(number)
+        session = open_session(path, out=path.parent / "out").session
+        for voxel in (MIDDLE, MIDDLE - [4, 0, 0], MIDDLE - [0, -2, 3], np.array([5.0, 22.0, 4.0])):
+            look_at(page, mm_of(voxel, affine)[0], affine)
+            page.tab.wait_for_timeout(300)
+            for view in FRAMES:
+                assert_shown(page, view, session.labels, session.table, voxel.astype(int), affine)
 
 
 def test_the_picture_lies_as_radiologists_see_it(chromium, painted):

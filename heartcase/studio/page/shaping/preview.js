@@ -7,7 +7,10 @@ import { language, say } from "../shared/words.js";
 /** @typedef {import("../pictures/views.js").Views} Views */
 /** @typedef {import("./shaping.js").Ask} Ask */
 
-const WAIT_MS = 150;
+/** Strokes and acts that follow on each other at once are waited for. */
+const WAIT_MS = 20;
+/** Until the first look is followed by the fine one. */
+const FINE_AFTER_MS = 500;
 
 export class Preview {
   isOn = new Signal(false);
@@ -18,6 +21,7 @@ export class Preview {
   /** What is not in the surface, and why. */
   problems = new Signal(/** @type {readonly Problem[]} */ ([]));
   #isStale = false;
+  #isCoarse = false;
   #timer = 0;
 
   /** @param {Views} views @param {Ask} ask @param {(error: unknown) => void} onFault */
@@ -33,9 +37,14 @@ export class Preview {
   /** Labels or the recipe changed. */
   refresh() {
     if (!this.isOn.value) return;
-    this.#isStale = true;
+    this.#isStale = this.#isCoarse = true;
+    this.#later(WAIT_MS);
+  }
+
+  /** @param {number} ms */
+  #later(ms) {
     clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => void this.#make(), WAIT_MS);
+    this.#timer = setTimeout(() => void this.#make(), ms);
   }
 
   async #make() {
@@ -43,8 +52,16 @@ export class Preview {
     this.isBusy.value = true;
     try {
       while (this.#isStale && this.isOn.value) {
-        this.#isStale = false;
-        this.problems.value = (await this.ask({ do: "preview" })).problems ?? [];
+        const coarse = this.#isCoarse;
+        this.#isStale = this.#isCoarse = false;
+        const { problems } = await this.ask({ do: "preview", coarse });
+        // what is wrong with ends and edits is told where they are looked at finely
+        if (!coarse) this.problems.value = problems ?? [];
+        else if (!this.#isStale) {
+          this.#isStale = true;
+          this.#later(FINE_AFTER_MS);
+          break;
+        }
       }
     } catch (error) {
       this.isOn.value = false;
