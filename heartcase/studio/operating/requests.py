@@ -34,8 +34,11 @@ __all__ = [
     "Resize",
     "Run",
     "Seen",
+    "Slice",
     "Strain",
     "Take",
+    "TourTo",
+    "Tours",
     "Wheel",
     "parse_request",
 ]
@@ -213,6 +216,30 @@ class CutOpen(_Asked):
     """Where; null where it does not."""
 
 
+class Slice(_Asked):
+    """Show a slice of the scan."""
+
+    do: Literal["slice"]
+    """Which request."""
+    name: Literal["cut", "axial", "coronal", "sagittal"]
+    """Which of the page's slices; it comes with the picture."""
+    point_mm: PointMm
+    """A point of its plane, LPS mm."""
+    right: Direction
+    """To the picture's right, LPS, unit length."""
+    down: Direction
+    """Down the picture, LPS, unit length."""
+
+    @model_validator(mode="after")
+    def _is_a_plane(self) -> Slice:
+        if np.abs([self.point_mm, self.right, self.down]).max() > _FAR_MM:
+            raise ValueError(f"a slice is at most {_FAR_MM:g} mm away")
+        axes = np.array([self.right, self.down])
+        if np.abs(axes @ axes.T - np.eye(2)).max() > _PERPENDICULAR_MAX:
+            raise ValueError("the axes of a picture are perpendicular and of unit length")
+        return self
+
+
 class Strain(_Asked):
     """Send how far the tissue is stretched, too."""
 
@@ -220,6 +247,24 @@ class Strain(_Asked):
     """Which request."""
     shown: bool
     """Whether it is wanted."""
+
+
+class Tours(_Asked):
+    """Name the guided tours of this case, with all that they say and show."""
+
+    do: Literal["tours"]
+    """Which request."""
+
+
+class TourTo(_Asked):
+    """Bring the session to where a step of a tour leaves it; nowhere, where the tour is left."""
+
+    do: Literal["tour"]
+    """Which request."""
+    tour: Annotated[int, Field(ge=0, le=100)]
+    """Number of the tour, from 0, as they were named."""
+    step: Annotated[int, Field(ge=0, le=100)] | None = None
+    """Number of the step, from 0; None leaves the tour."""
 
 
 class Coarser(_Asked):
@@ -304,7 +349,10 @@ Request = (
     | Begin
     | Hide
     | CutOpen
+    | Slice
     | Strain
+    | Tours
+    | TourTo
     | Coarser
     | Figures
     | Planned

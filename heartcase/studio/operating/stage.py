@@ -29,6 +29,7 @@ from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
+from heartcase.studio.operating.surroundings import cannulae
 
 __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 
@@ -79,6 +80,7 @@ class Stage:
         self._heard = heard
         self.normal_map = normal_map
         self._sha256 = sha256
+        self._cannulae = cannulae(case)
         self._axes = axes or {"planes": {}, "centre_mm": None}
         self.structures = Structures(case.manifest, case.triangle_structures)
         self.cell_labels = CellLabels(case)
@@ -89,6 +91,11 @@ class Stage:
         self.incisions = Incisions(case)
         self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
         self.live = self._started(self._new_session())
+
+    @property
+    def case(self) -> Case:
+        """The case that was loaded."""
+        return self._case
 
     def close(self) -> None:
         """End the session; a recording is finished."""
@@ -279,6 +286,7 @@ class Stage:
             "tissue_inside": self.cell_labels.inside(self.structures),
             "cut_faces": CUT_FACES,
             "heart_axes": self._axes,
+            "cannulae": self._cannulae,
             "tools": [
                 {"key": tool.key, "size_words": tool.size_words, "size": tool.size, "sizes": tool.sizes}
                 for tool in TOOLS

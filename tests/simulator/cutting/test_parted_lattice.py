@@ -85,7 +85,7 @@ def parts_of_samples(model: LatticeModel, triangles) -> dict[tuple, set]:
     return found
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(blades, st.integers(0, 5))
 def test_nodes_are_copied_as_the_samples_around_them_hang_together(blade, seed):
     """Against a search over all samples around each node, in full cells of which each touches others by its faces."""
@@ -172,7 +172,7 @@ def test_uniform_strain_stores_the_same_in_a_cut_lattice(blade, law, seed):
     np.testing.assert_allclose(together, elastic_forces(model, u), atol=2e-5)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(blades, st.sampled_from(LAWS), st.integers(0, 100))
 def test_a_cut_needs_no_shorter_step(blade, law, seed):
     """Slivers of springs are no quicker: omega^2 of the cut lattice stays below that of a lone cell; those of elements

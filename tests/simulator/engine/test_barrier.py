@@ -32,12 +32,13 @@ def expected(start, rounds):
     return values
 
 
+@pytest.mark.parametrize("run_count", [4, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("thread_count", [1, 2, 3, 7])
-def test_nobody_runs_ahead(thread_count):
+def test_nobody_runs_ahead(thread_count, run_count):
     """Also with more threads than cores."""
     start = np.arange(1, thread_count + 1)
     team, rounds = ThreadTeam(), 300
-    for _ in range(20):
+    for _ in range(run_count):
         values = np.stack([start, np.zeros_like(start)])
         result = team.run(thread_count, lambda *part: int(pass_on(values, rounds, *part)))  # noqa: B023
         np.testing.assert_array_equal(values[rounds % 2], expected(start, rounds))

@@ -9,8 +9,13 @@ from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.step_size import default_step, own_step_limit, step_limit
+from heartcase.simulator.engine.cuda.intrinsics import IS_SIMULATED
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.lattices import EPS, block, oblique_geometry, random_models
+
+ON_A_GPU = pytest.param(
+    "cuda", marks=pytest.mark.skipif(IS_SIMULATED, reason="there is no GPU; tests/parity simulates one")
+)
 
 
 def turn_about(axis, angle):
@@ -20,7 +25,7 @@ def turn_about(axis, angle):
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
-@pytest.mark.parametrize("backend", ["cpu", "cuda", "reference"])
+@pytest.mark.parametrize("backend", ["cpu", ON_A_GPU, "reference"])
 def test_probe_pushes_nodes_out_and_feels_the_tissue(backend):
     """A long ellipsoid goes down into a block: no node is left inside, none is turned, and the force is upward."""
     model = block(6, 4, 4, fix_base=True, geometry=oblique_geometry((4, 4, 6)))

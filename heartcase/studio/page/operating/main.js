@@ -9,11 +9,16 @@ import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
+import { SceneShower } from "../touring/scene.js";
+import { TourPanel } from "../touring/tour_panel.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
 import { PlaneControls } from "./plane_controls.js";
 import { Pointer } from "./pointer.js";
+import { ScanControls } from "./scan_controls.js";
+import { SecondView } from "./second_view.js";
+import { Surroundings } from "./surroundings.js";
 import { TimeLine } from "./time_line.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
@@ -32,11 +37,11 @@ language.follow((name) => {
   fillWords(document);
 });
 
-/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any}} */
-export const open = { picture: null, header: null };
+/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any, tour: TourPanel | null}} */
+export const open = { picture: null, header: null, tour: null };
 
 function run() {
-  const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")));
+  const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")), find("scene"));
   open.picture = picture;
   const url = new URL(location.pathname.replace("/operate/", "/operating/"), location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -85,24 +90,56 @@ function run() {
     return connection.ask(request);
   });
   picture.detail.wanted = () => ask({ do: "coarser" });
-  const pointer = new Pointer(find("scene"), picture.camera, {
-    ask: (request) => connection.ask(request),
-    answered,
-    failed: fault,
-    changed: () => picture.move(),
-    hasTool: () => tool !== "",
-    isReady: () => isReady,
-    cursorMoved: () => {
-      const { cursor } = pointer;
-      find("cursor").hidden = cursor === null;
-      if (cursor) Object.assign(find("cursor").style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
+  const second = new SecondView(picture);
+  /** @param {string} surface @param {import("./camera.js").Camera} camera @param {string} cursor @returns {Pointer} */
+  const pointerOn = (surface, camera, cursor) => {
+    const made = new Pointer(find(surface), camera, {
+      ask: (request) => connection.ask(request),
+      answered,
+      failed: fault,
+      changed: () => picture.move(),
+      // one hand acts at a time
+      hasTool: () => tool !== "" && pointers.every((one) => one === made || !one.isUsed),
+      isReady: () => isReady,
+      cursorMoved: () => {
+        find(cursor).hidden = made.cursor === null;
+        if (made.cursor) Object.assign(find(cursor).style, { left: `${made.cursor.x}px`, top: `${made.cursor.y}px` });
+      },
+    });
+    for (const name of ["pointerenter", "pointerdown", "focus"]) find(surface).addEventListener(name, () => (pointer = made));
+    return made;
+  };
+  /** @type {Pointer[]} */
+  const pointers = [];
+  pointers.push(pointerOn("scene", picture.camera, "cursor"), pointerOn("scene-2", second.camera, "cursor-2"));
+  /** That of the view which was used last. */
+  let pointer = pointers[0];
+  const shower = new SceneShower(picture);
+  const tour = new TourPanel(find("panel-tour"), {
+    show: (scene) => {
+      panel.hide(scene.hidden);
+      shower.setPlane(scene.plane);
+      if (strain.checked !== scene.stretch) strain.click();
+      if (scene.view !== null) shower.goTo(scene.view);
+    },
+    enter: (number, step) => {
+      forget();
+      ask({ do: "tour", tour: number, step });
     },
   });
 
+  open.tour = tour;
   const planeControls = new PlaneControls(picture, (plane) => ask({ do: "cut_open", plane }));
   /** Colours of tissue that lies inside alone. @type {{value: number, colour: string}[]} */
   let tissueInside = [];
 
+  const scanControls = new ScanControls(picture, (request) => connection.ask(request), fault);
+  const surroundings = new Surroundings(picture.scene);
+  const surrounds = /** @type {HTMLInputElement} */ (find("surroundings"));
+  surrounds.addEventListener("change", () => {
+    surroundings.group.visible = surrounds.checked;
+    picture.redraw();
+  });
   /** @param {string} name */
   function replay(name) {
     forget();
@@ -110,7 +147,7 @@ function run() {
   }
 
   function forget() {
-    pointer.forget();
+    for (const one of pointers) one.forget();
     picture.tools.showLine([]);
     picture.redraw();
   }
@@ -124,7 +161,7 @@ function run() {
   /** @param {string} key */
   function take(key) {
     tool = key;
-    pointer.forget();
+    for (const one of pointers) one.forget();
     document.body.dataset.tool = key;
     for (const button of find("tools").querySelectorAll("button")) {
       button.setAttribute("aria-pressed", String(button.dataset.key === key));
@@ -198,7 +235,8 @@ function run() {
     strain: () => /** @type {HTMLInputElement} */ (find("strain")).click(),
     showAll: () => panel.showAll(),
     reset: () => {
-      picture.camera.frame(...box);
+      if (pointer === pointers[1] && second.isShown) second.reset();
+      else picture.camera.frame(...box);
       picture.redraw();
     },
   };
@@ -230,7 +268,7 @@ function run() {
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented) return;
     const target = /** @type {Element} */ (event.target);
-    const isInScene = target.closest("#scene") !== null;
+    const isInScene = target.closest(".scene-tile .surface") !== null;
     if (isInScene && !event.ctrlKey && !event.metaKey && !event.altKey && pointer.key(event)) {
       event.preventDefault();
       return;
@@ -260,16 +298,17 @@ function run() {
     const found = /** @type {Record<string, () => void>} */ ({
       u: actions.undo, y: actions.redo, b: actions.back, l: actions.play, t: actions.tie, w: actions.record, v: actions.strain,
       x: () => actions.letGo(true), a: actions.showAll, home: actions.reset, escape: actions.putDown, " ": actions.pause,
-      k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
+      i: () => second.toggle(), d: () => surrounds.click(), k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
-    return found[key] ?? null;
+    return found[key] ?? tour.action(key);
   }
 
   /** @param {Message} message */
   function hear(message) {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
     else if (message.kind === "opened") begin(message);
+    else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
     else if (message.kind === "figures") figures.hear(message);
     else if (message.kind === "plans") plans.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
@@ -304,7 +343,16 @@ function run() {
     take(tool);
     ask({ do: "hide", structures: [...panel.hidden] });
     planeControls.setCase(message.heart_axes, box);
+    second.setCase(message.heart_axes.planes, box);
+    surroundings.setCase(box, message.cannulae);
+    scanControls.setCase(message.scan, box);
+    find("recipe").hidden = message.recipe === null;
+    if (message.recipe !== null) /** @type {HTMLAnchorElement} */ (find("recipe")).href = message.recipe;
     if (strain.checked) ask({ do: "strain", shown: true });
+    connection.ask({ do: "tours" }).then((answer) => {
+      tour.setTours(answer.tours, answer.tour_problems);
+      find("tab-tour").hidden = answer.tours.length + answer.tour_problems.length === 0;
+    }, fault);
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
     picture.detail.begin();
@@ -325,6 +373,10 @@ function run() {
     const arrays = arraysOf(message);
     if (header.kind === "normal_map") {
       picture.heart.takeNormalMap(arrays.png).then(() => picture.redraw(), fault);
+      return;
+    }
+    if (header.kind === "slice") {
+      scanControls.take(header, arrays);
       return;
     }
     const isHeartNew = picture.heart.takeFrame(message, arrays);
