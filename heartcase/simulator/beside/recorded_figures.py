@@ -21,8 +21,8 @@ from heartcase.schemas.recording.commands import (
 )
 from heartcase.schemas.recording.reader import Recording
 from heartcase.schemas.scripts.incision_plans import ShaftSettings
+from heartcase.simulator.beside.figures_worker import LiveFigures, figures_of
 from heartcase.simulator.live.cuts_done import Moment
-from heartcase.simulator.live.figures_worker import LiveFigures, figures_of
 from heartcase.simulator.live.live import moment_of
 from heartcase.simulator.load import Case
 from heartcase.simulator.session.operating_session import OperatingSession
@@ -96,7 +96,7 @@ def figures_of_recording(
     incision
         Which of the cuts, from 0; the last where there are fewer.
     shaft, reaches
-        As of :func:`heartcase.simulator.live.figures_worker.figures_of`.
+        As of :func:`heartcase.simulator.beside.figures_worker.figures_of`.
 
     Raises
     ------
