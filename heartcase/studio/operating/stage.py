@@ -264,6 +264,8 @@ class Stage:
         self.detach()
         servo = HapticServo([device_of(name, centre_mm)]).__enter__()
         self.device = DeviceHand(self.live, servo)
+        # it is led by steps
+        self.live.pause(False)
 
     def detach(self) -> None:
         """Take the device away: what it led lets go softly."""

@@ -43,17 +43,13 @@ class Growth:
         return 60.0 * float(np.polyfit(self.times_s[late], values[late], 1)[0])
 
 
-def operate(case: Path, seconds: float, *, every_s: float = 5.0, say=print) -> Growth:
-    """Operate on a case for so long."""
-    from playwright import sync_api as playwright
-
+def operate(case: Path, seconds: float, browser, *, every_s: float = 5.0, say=print) -> Growth:
+    """Operate on a case for so long, in a browser that runs."""
     rows, rounds = [], 0
-    with started(case) as (process, address), playwright.sync_playwright() as running:
+    with started(case) as (process, address):
         server = psutil.Process(process.pid)
-        browser = running.chromium.launch(
-            executable_path=find_browser(), args=[*SWITCHES, "--js-flags=--expose-gc", "--enable-precise-memory-info"]
-        )
         tab = browser.new_page(viewport={"width": 800, "height": 600})
+        inside = tab.context.new_cdp_session(tab)
         tab.goto(address)
         tab.locator("body[data-ready=true]").wait_for(timeout=300_000)
         box = tab.locator("#scene").bounding_box()
@@ -72,11 +68,12 @@ def operate(case: Path, seconds: float, *, every_s: float = 5.0, say=print) -> G
                 tab.keyboard.press("v")
             if time.monotonic() - told >= every_s or not rows:
                 told = time.monotonic()
-                heap = tab.evaluate("() => { gc(); return performance.memory.usedJSHeapSize; }")
+                inside.send("HeapProfiler.collectGarbage")
+                heap = inside.send("Runtime.getHeapUsage")["usedSize"]
                 rows.append((told - began, server.memory_info().rss / 1e6, heap / 1e6))
                 say(f"{rows[-1][0]:7.1f} s  server {rows[-1][1]:8.1f} MB  page {rows[-1][2]:7.2f} MB  rounds {rounds}")
         acts = tab.evaluate(f"async () => {OPEN}.header.act_count")
-        browser.close()
+        tab.close()
     times, server_mb, page_mb = np.array(rows).T
     return Growth(times, server_mb, page_mb, acts)
 
@@ -109,7 +106,12 @@ def main() -> int:
     parser.add_argument("case", type=Path)
     parser.add_argument("--seconds", type=float, default=600.0)
     options = parser.parse_args()
-    found = operate(options.case, options.seconds, say=lambda words: print(words, flush=True))
+    from playwright import sync_api as playwright
+
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=find_browser(), args=SWITCHES)
+        found = operate(options.case, options.seconds, browser, say=lambda words: print(words, flush=True))
+        browser.close()
     server, page = found.per_minute(found.server_mb), found.per_minute(found.page_mb)
     print(f"server {server:+.1f} MB a minute, page {page:+.2f} MB a minute, after the first {100 * WARM_PART:.0f}%")
     return int(server > SERVER_MB_PER_MINUTE or page > PAGE_MB_PER_MINUTE)
