@@ -16,7 +16,7 @@ from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 from heartcase.studio.painting.drafts import receive_draft
 from heartcase.studio.painting.painting import Painting, open_painting
-from heartcase.studio.painting.requests import History, Paint, parse_request
+from heartcase.studio.painting.requests import History, Look, Paint, parse_request
 from heartcase.studio.painting.states import States
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
 
@@ -113,10 +113,13 @@ class Workplace:
                         "another program changed the recipe: it was opened again, so look before you go on",
                         place="recipe",
                     )
-                answer = await self._run(lambda: painting.do(request, page))
+                answer = await self._run(lambda: painting.do(request, page, self._pages))
             except Exception as error:
                 page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
                 return
+            for one in self._pages & answer.for_each.keys():
+                for labels in answer.for_each[one]:
+                    one.send(labels)
             for message in answer.for_all:
                 is_done = isinstance(message, str) and answer.done is not None and message.startswith('{"kind": "done"')
                 for one in self._pages:
@@ -127,7 +130,9 @@ class Workplace:
                 page.send(answer.done)
             if isinstance(request, History) and painting.is_outdated:
                 await self._open_again()
-            self._states.later()
+            # while the rest comes, and whoever scrolls on changes nothing
+            if not isinstance(request, Look):
+                self._states.later()
         if answer.later is not None:
             self._start(page, text, answer.later)
 
