@@ -32,7 +32,8 @@ def pulling(*, forever=False):
 
 def is_held_by_the_spring(shown):
     stretch_mm = shown.position_mm[2] - (TOP[2] + 4.0)
-    return shown.part == 1.0 and shown.force_n[2] == pytest.approx(0.4 * stretch_mm, abs=0.2) and shown.force_n[2] < -0.1
+    pull_n = shown.force_n[2]
+    return shown.part == 1.0 and pull_n == pytest.approx(0.4 * stretch_mm, abs=0.2) and pull_n < -0.1
 
 
 def test_it_pulls_feels_lets_go_and_stands_in_the_history(case, tmp_path):

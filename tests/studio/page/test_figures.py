@@ -22,6 +22,7 @@ def hollow(tmp_path):
     server.stop()
 
 
+@pytest.mark.slow
 def test_incisions_are_cut_held_compared_and_played_side_by_side_and_a_device_pulls(chromium, hollow, monkeypatch):
     monkeypatch.setattr(plans, "REACHES", False)
     with browsing(chromium, hollow, viewport={"width": 1366, "height": 768}) as page:
