@@ -19,7 +19,9 @@ __all__ = ["LedGrab", "LedInstrument", "LedProbe", "Tissue"]
 class Tissue(Protocol):
     """What is asked of a simulation."""
 
-    model: LatticeModel
+    @property
+    def model(self) -> LatticeModel:
+        """The lattice now."""
 
     def lead(self, grab: Grab, offset_mm: Float64, turn: Float64 | None = None) -> None:
         """Lead a grab to a pose; it arrives with the end of the next steps."""

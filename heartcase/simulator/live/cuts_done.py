@@ -39,25 +39,27 @@ class Moment:
 class CutsDone:
     """Cuts of a session so far, kept up with it frame by frame.
 
-    ``cuts`` are those that are done, in their order; the same tuple while nothing changes. ``unheld`` is the moment
-    when it was last seen cut with no instrument in it; None where it was not seen so.
+    ``act_count`` acts are done; ``cuts`` are those of them, in their order, the same tuple while nothing changes.
+    ``unheld`` is the moment when it was last seen cut with no instrument in it; None where it was not seen so.
     """
 
     def __init__(self) -> None:
         self.cuts: tuple[Cut, ...] = ()
         self.unheld: Moment | None = None
         self._unheld_cuts: tuple[Cut, ...] = ()
-        self._counted = 0
+        self.act_count = self._counted = 0
 
     def note(self, session: OperatingSession, frame: Frame) -> None:
         """Take in where the session is; ``frame`` shows it."""
         position = session.position
         known = self.cuts
         if position < self._counted:
-            known, self._counted = (), 0
-        new = tuple(one.command for one in session.entries[self._counted : position] if isinstance(one.command, Cut))
+            known, self._counted, self.act_count = (), 0, 0
+        # only what came since the last time is looked at, where nothing was taken back
+        new = [one.command for one in session.entries[self._counted : position]]
+        self.act_count += sum(isinstance(one, _ACTS) for one in new)
         self._counted = position
-        found = known + new
+        found = known + tuple(one for one in new if isinstance(one, Cut))
         if found != self.cuts:
             self.cuts = found
         if self.cuts[: len(self._unheld_cuts)] != self._unheld_cuts:

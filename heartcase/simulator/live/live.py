@@ -21,7 +21,6 @@ from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.errors import HeartcaseError, RecordingError, SimulationError
 from heartcase.schemas.recording.commands import (
-    Act,
     BringProbe,
     Cut,
     Done,
@@ -45,7 +44,8 @@ __all__ = ["FRAME_S", "Live", "LiveFrame", "moment_of"]
 
 FRAME_S = 1.0 / 40.0
 """Time from frame to frame where the machine keeps up, s."""
-_ACTS = get_args(Act)
+Taker = Callable[[OperatingSession, int, Callable[[float], list[Done]]], Frame]
+"""Takes so many steps of a session; what leads its instruments for so many seconds is asked for."""
 _NAVIGATION = get_args(Navigation)
 _STEPS_LEAST = 0.4
 """Part of a frame's steps that is taken however long they take: time goes on."""
@@ -145,9 +145,9 @@ class Live:
         self._ticked: float | None = None
         self._part = 0.0
         self._past: deque[tuple[float, int]] = deque()
-        self._act_count = self._counted = 0
         self._cuts_done = CutsDone()
         self._kept = Kept()
+        self._taker: Taker | None = None
         self.newest = self._published(session.frame(surface=self._shows_surface))
 
     def start(self) -> None:
@@ -245,6 +245,14 @@ class Live:
         """Whether nothing would be lost: all acts are in a recording that is finished, or there are none."""
         return self._kept.is_all_of(self.session)
 
+    def take_by(self, taker: Taker | None) -> None:
+        """Let the steps of each frame be taken by another, as for a haptic device; by the session itself for None."""
+        self._ask([lambda: setattr(self, "_taker", taker)])
+
+    def tell(self, words: str) -> None:
+        """Let a user read this."""
+        self._messages.append(words)
+
     def take_messages(self) -> list[str]:
         """What there is to be read since the last time."""
         found = []
@@ -266,8 +274,7 @@ class Live:
             began = time.perf_counter()
             steps = self._steps_due(self._frame_s if self._ticked is None else began - self._ticked)
             self._ticked = began
-            motions = self._goals.commands(places_mm(self.session.simulation), steps * self.session.simulation.step_s)
-            frame = self.session.take(motions, steps, surface=self._shows_surface)
+            frame = self._taken(steps)
             for refusal in frame.refused:
                 self._messages.extend(str(problem) for problem in refusal.problems)
             if frame.breakdown is not None:
@@ -278,6 +285,15 @@ class Live:
             self._learn(time.perf_counter() - began)
         elif has_work:
             self._publish(self.session.frame(surface=self._shows_surface))
+
+    def _taken(self, steps: int) -> Frame:
+        simulation = self.session.simulation
+        if self._taker is not None:
+            return self._taker(
+                self.session, steps, lambda seconds: self._goals.commands(places_mm(simulation), seconds)
+            )
+        motions = self._goals.commands(places_mm(simulation), steps * simulation.step_s)
+        return self.session.take(motions, steps, surface=self._shows_surface)
 
     def _ask(self, what: Iterable[Done | Navigation | Callable[[], None]]) -> None:
         with self._wake:
@@ -456,20 +472,10 @@ class Live:
             real_time_factor=factor,
             steps_per_second=rate,
             recording=None if self._recorder is None else self._recorder.path.name,
-            act_count=self._acts_done(),
+            act_count=self._cuts_done.act_count,
             cuts=self._cuts_done.cuts,
             unheld=self._cuts_done.unheld,
         )
-
-    def _acts_done(self) -> int:
-        """How many acts are done; only what came since the last time is looked at, where nothing was taken back."""
-        position = self.session.position
-        if position < self._counted:
-            self._act_count = self._counted = 0
-        new = self.session.entries[self._counted : position]
-        self._act_count += sum(isinstance(entry.command, _ACTS) for entry in new)
-        self._counted = position
-        return self._act_count
 
 
 def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFrame:

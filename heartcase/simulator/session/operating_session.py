@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol, get_args
 
 from heartcase.schemas.errors import RecordingError, SimulationError
@@ -39,6 +40,8 @@ SNAPSHOT_EVERY_S = 0.25
 """Simulated time between snapshots of late, s."""
 
 _ACTS = get_args(Act)
+# rows of as many steps are one object: a history of hours has many of them
+_row = lru_cache(maxsize=1024)(lambda steps: Advance(steps=steps))
 _NAVIGATION = get_args(Navigation)
 
 
@@ -189,7 +192,7 @@ class OperatingSession:
             The simulation broke down: the state before the steps was restored, and instruments stay where they were.
         """
         self.make_cuts()
-        self._do_now(Advance(steps=steps))
+        self._do_now(_row(steps))
         return self.frame(surface=surface)
 
     def begin_cut(self, command: Cut) -> None:
@@ -249,7 +252,7 @@ class OperatingSession:
         breakdown = None
         if steps:
             try:
-                self._do_now(Advance(steps=steps))
+                self._do_now(_row(steps))
             except SimulationError as error:
                 breakdown = str(error)
         return self.frame(surface=surface, breakdown=breakdown)

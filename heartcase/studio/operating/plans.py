@@ -16,9 +16,9 @@ from typing import Any
 from heartcase.schemas.bundle.manifest import manifest_bytes
 from heartcase.schemas.errors import HeartcaseError, Problem, SimulationError
 from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.beside.figures_worker import LiveFigures
+from heartcase.simulator.beside.recorded_figures import figures_of_recording
 from heartcase.simulator.incisions.figures import ranked
-from heartcase.simulator.live.figures_worker import LiveFigures
-from heartcase.simulator.live.recorded_figures import figures_of_recording
 from heartcase.simulator.load import load_case
 from heartcase.studio.messages import text_message
 from heartcase.studio.operating.live_figures import told_figures
@@ -27,6 +27,8 @@ __all__ = ["NEAREST_LEAST_MM", "ComparedPlans"]
 
 NEAREST_LEAST_MM = 2.0
 """A plan that comes nearer to a vessel is put behind all others, mm: as of ``heartcase compare-incisions``."""
+REACHES = True
+"""Whether the reach of the tip is worked out, which takes most of the time."""
 _ENDED = "what works out figures has ended: compare again"
 _NICE = 10
 _END_S = 2.0
@@ -68,7 +70,7 @@ class ComparedPlans:
             context = multiprocessing.get_context("spawn")
             line, its_line = context.Pipe()
             self._process = context.Process(
-                target=_serve, args=(its_line, str(self._case)), daemon=True, name="heartcase-plans"
+                target=_serve, args=(its_line, str(self._case), REACHES), daemon=True, name="heartcase-plans"
             )
             self._process.start()
             its_line.close()
@@ -156,7 +158,7 @@ def _ranked(plans: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _serve(line: Connection, path: str) -> None:
+def _serve(line: Connection, path: str, reaches: bool) -> None:
     """The process: load the case, and answer with the figures of each recording that it is sent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):
@@ -168,7 +170,7 @@ def _serve(line: Connection, path: str) -> None:
             recording = Path(line.recv())
             try:
                 case = case or load_case(Path(path), needs=("surface", "tissue"))
-                line.send(figures_of_recording(case, open_recording(recording)))
+                line.send(figures_of_recording(case, open_recording(recording), reaches=reaches))
             except HeartcaseError as error:
                 folders = {str(recording.parent), path}
                 line.send(tuple(Problem(one.place, _without(folders, one.message)) for one in error.problems))

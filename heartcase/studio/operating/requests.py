@@ -18,6 +18,7 @@ __all__ = [
     "Coarser",
     "Compare",
     "CutOpen",
+    "Device",
     "Figures",
     "Hide",
     "HoldOpen",
@@ -325,6 +326,17 @@ class Rename(_Asked):
     """Its new name, without an ending."""
 
 
+class Device(_Asked):
+    """Let a haptic device lead a hand in the session, or take it away."""
+
+    do: Literal["device"]
+    """Which request."""
+    name: Annotated[str, Field(max_length=100)] | None
+    """One of the devices that there are; None to take it away."""
+    pointer: Look | None = None
+    """What is looked at: where it meets the heart, the middle of the device's way lies."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -359,6 +371,7 @@ Request = (
     | HoldOpen
     | Compare
     | Rename
+    | Device
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

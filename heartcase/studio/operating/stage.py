@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.manifest import manifest_bytes
 from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.beside.device_hand import DeviceHand
+from heartcase.simulator.haptics.servo import HapticServo
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES, STRETCH_SHOWN, Structures
@@ -24,6 +27,7 @@ from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
 from heartcase.studio.operating.cell_labels import CellLabels
 from heartcase.studio.operating.coarser import CoarseLevel, CoarserWorker, load_coarser
+from heartcase.studio.operating.devices import device_of, known_devices
 from heartcase.studio.operating.heart_axes import heart_axes
 from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
@@ -89,6 +93,7 @@ class Stage:
         self._coarser: CoarserWorker | None = None
         self._spares = False
         self.incisions = Incisions(case)
+        self.device: DeviceHand | None = None
         self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
         self.live = self._started(self._new_session())
 
@@ -99,6 +104,7 @@ class Stage:
 
     def close(self) -> None:
         """End the session; a recording is finished."""
+        self.detach()
         self.live.close()
         self.show_strain(False)
         self.show_coarser(False)
@@ -110,6 +116,7 @@ class Stage:
 
     def begin(self) -> None:
         """Leave the session, and begin anew with the case as it was built."""
+        self.detach()
         self.live.close()
         self.live = self._started(self._new_session())
 
@@ -124,6 +131,7 @@ class Stage:
         recording = open_recording(self._out / self.known(name))
         case = self._case
         session = load_session(recording, case.model, surface=case.surface, tissue=case.tissue)
+        self.detach()
         self.live.close()
         self.live = self._started(session, plays=True)
 
@@ -236,6 +244,35 @@ class Stage:
         for _, led, speed_mm_s in hands:
             live.lead(led, speed_mm_s)
 
+    def attach(self, name: str, centre_mm: Float64) -> None:
+        """Let a haptic device lead a hand in the session.
+
+        Parameters
+        ----------
+        name
+            One of :func:`heartcase.studio.operating.devices.known_devices`.
+        centre_mm
+            Where the middle of its way lies, LPS mm, shape (3,).
+
+        Raises
+        ------
+        HeartcaseError
+            There is no such device, it cannot be opened, or there is one already.
+        """
+        if self.device is not None and self.device.is_attached:
+            raise UsageError("a device leads a hand already: stop it first", place="device")
+        self.detach()
+        servo = HapticServo([device_of(name, centre_mm)]).__enter__()
+        self.device = DeviceHand(self.live, servo)
+        # it is led by steps
+        self.live.pause(False)
+
+    def detach(self) -> None:
+        """Take the device away: what it led lets go softly."""
+        device, self.device = self.device, None
+        if device is not None:
+            device.detach()
+
     def show_strain(self, is_wanted: bool) -> None:
         """Work out how far the tissue is stretched, or leave it."""
         if is_wanted and self._strain is None:
@@ -294,6 +331,7 @@ class Stage:
             "box_mm": [low.tolist(), high.tolist()],
             "step_s": simulation.step_s,
             "incisions": self.incisions.names,
+            "devices": known_devices(),
             "stretch_shown": STRETCH_SHOWN,
             "stretch_colours": vertex_colours(np.linspace(*STRETCH_SHOWN, 256), *STRETCH_SHOWN).tolist(),
         }

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
@@ -24,10 +25,12 @@ from heartcase.studio.operating.requests import (
     Coarser,
     Compare,
     CutOpen,
+    Device,
     Figures,
     Hide,
     HoldOpen,
     LetGo,
+    Look,
     Planned,
     Play,
     Point,
@@ -116,6 +119,7 @@ class Theatre:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._plans = ComparedPlans(case, out, self._hear_of_plans)
         self._freed: str | None = None
+        self._device_page: Page | None = None
 
     def _tour_folders(self) -> tuple[Path, ...]:
         return (self._case.parent, *(() if self.origin is None else (self.origin.recipe.parent,)))
@@ -202,6 +206,9 @@ class Theatre:
             await self._update_strain()
             await self._update_coarser()
             await self._update_figures()
+            if self._device_page is page:
+                self._device_page = None
+                await self._run(self._stage.detach)
             self._rest_if_alone(self._stage)
 
     async def ask(self, page: Page, text: str) -> None:
@@ -378,6 +385,13 @@ class Theatre:
                 # it takes seconds for each of them: the processors are for that
                 live.pause(True)
                 await self._run(lambda: self._plans.compare(names))
+            case Device():
+                if request.name is None:
+                    await self._run(stage.detach)
+                else:
+                    name, place = request.name, await self._run(lambda: _met(viewer, request.pointer))
+                    await self._run(lambda: stage.attach(name, place))
+                self._device_page = page if request.name is not None else None
             case Rename():
                 await self._run(lambda: stage.rename(request.name, request.to))
                 return {"recordings": await self._run(stage.recordings)}
@@ -535,6 +549,20 @@ class Theatre:
                 problem["place"] = problem["place"].replace(folder, "case")
                 problem["message"] = problem["message"].replace(folder, "case")
         return found
+
+
+def _met(viewer: Viewer, look: Look | None) -> Float64:
+    """Where a page's look meets the heart.
+
+    Raises
+    ------
+    UsageError
+        It meets nothing.
+    """
+    place = None if look is None else viewer.met_mm(look)
+    if place is None:
+        raise UsageError("the heart is not in the middle of the picture: turn it there first", place="device")
+    return place
 
 
 def _point(request: Point, viewer: Viewer) -> bool:

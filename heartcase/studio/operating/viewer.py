@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.arrays import Int32
+from heartcase.schemas.arrays import Float64, Int32
+from heartcase.simulator.beside.device_hand import ShownDevice
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.live.hands import Hands
 from heartcase.simulator.live.live import LiveFrame
@@ -75,6 +76,13 @@ class Viewer:
             newest = self._stage.live.newest
             hit = self._first_hit(ray, newest)
         return Pointer(ray, hit, np.array(look.axes))
+
+    def met_mm(self, look: Look) -> Float64 | None:
+        """Where a look meets the heart, LPS mm, shape (3,); None where it does not."""
+        direction = np.array(look.direction)
+        ray = Ray(np.array(look.start_mm), direction / np.linalg.norm(direction))
+        hit = self._first_hit(ray, self._stage.live.newest)
+        return None if hit is None else hit.point_mm
 
     def cut_open(self, plane: Plane | None) -> None:
         """Point at nothing beyond a plane; at everything where there is none."""
@@ -147,7 +155,9 @@ class Viewer:
             more["stretch"] = stretch
             self._stretch = stretch
         self._frame += 1
-        header = {"frame": self._frame, "topology": self._topology} | described(newest)
+        device = None if self._stage.device is None else self._stage.device.shown
+        header = {"device": None if device is None else _told_device(device)}
+        header |= {"frame": self._frame, "topology": self._topology} | described(newest)
         found.append(frame_message(header, rounded, self._sent, more))
         self._sent, self._shown, self._shown_s = rounded, newest, now
         return found
@@ -164,6 +174,8 @@ class Viewer:
     def _is_still(self, newest: LiveFrame, rounded: Rounded) -> bool:
         """Whether nothing but the time is new."""
         shown, sent = self._shown, self._sent
+        if self._stage.device is not None:
+            return False
         if shown is None or sent is None or newest.mode != "running" or newest.frame.instruments:
             return False
         if newest.frame.stitches or newest.frame.patches or shown.frame.instruments:
@@ -184,6 +196,15 @@ class Viewer:
             triangles = triangles[~np.isin(self._stage.structures.of(newest), list(self.hidden))]
         self._pickable = newest.surface, self.hidden, triangles
         return triangles
+
+
+def _told_device(device: ShownDevice) -> dict[str, Any]:
+    return {
+        "position_mm": device.position_mm.tolist(),
+        "force_n": device.force_n.tolist(),
+        "part": device.part,
+        "holds": device.holds,
+    }
 
 
 def described(live: LiveFrame) -> dict[str, Any]:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.simulator.beside.figures_worker import figures_of
 from heartcase.simulator.incisions.figures import IncisionFigures
-from heartcase.simulator.live.figures_worker import figures_of
 from heartcase.studio.operating.live_figures import told_figures
 from tests.hollow_case import hollow_case
 from tests.simulator.live.scenes import until

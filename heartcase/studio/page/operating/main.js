@@ -1,6 +1,7 @@
 /** The page on which a case moves: puts its parts together, and hands them what the server sends. */
 
 import { Beside } from "../figures/beside.js";
+import { Device } from "../figures/device.js";
 import { LiveFigures } from "../figures/live_figures.js";
 import { Plans } from "../figures/plans.js";
 import { runTabs } from "../panel/tiles.js";
@@ -81,6 +82,7 @@ function run() {
     },
   });
   const figures = new LiveFigures(ask);
+  const device = new Device({ ask, look: () => picture.camera.at(picture.camera.width / 2, picture.camera.height / 2) });
   const timeLine = new TimeLine((step) => {
     forget();
     const request = { do: "command", command: { kind: "go_to", step } };
@@ -310,6 +312,7 @@ function run() {
     find("stretch-legend").textContent = say("operate_stretch", { low: figure(low, 1), high: figure(high, 1) });
     isReady = true;
     figures.setPlanned(message.incisions);
+    device.setNames(message.devices);
     figures.begin();
     fillTools();
     paint();
@@ -359,6 +362,7 @@ function run() {
     const before = open.header;
     open.header = header;
     panel.showForces(header);
+    device.show(header);
     timeLine.show(header);
     beside.keepTogether();
     showState(header, before);

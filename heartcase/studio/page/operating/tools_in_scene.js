@@ -3,9 +3,11 @@
 import * as three from "../vendor/three/three.module.min.js";
 
 const COLOURS = /** @type {Record<string, number>} */ ({
-  grab: 0xffd23f, forceps: 0xd6dde4, retractor: 0x35b7ff, scissors: 0xd6dde4, probe: 0x3fa66b,
+  device: 0xff8c42, grab: 0xffd23f, forceps: 0xd6dde4, retractor: 0x35b7ff, scissors: 0xd6dde4, probe: 0x3fa66b,
 });
 const HANDLE_MM = 1.5;
+/** Length of the line that shows a force, mm for each newton. */
+const FORCE_MM_N = 20;
 const LINE_COLOUR = 0xff2d55;
 
 export class ToolsInScene {
@@ -23,7 +25,8 @@ export class ToolsInScene {
     this.stitches.material.clippingPlanes = [this.#clipping];
     this.patches = new three.Group();
     scene.add(this.patches);
-    for (const one of [this.stitches, this.drawn, this.points]) {
+    this.force = new three.LineSegments(new three.BufferGeometry(), new three.LineBasicMaterial({ color: COLOURS.device }));
+    for (const one of [this.force, this.stitches, this.drawn, this.points]) {
       one.frustumCulled = false;
       over.add(one);
     }
@@ -44,7 +47,7 @@ export class ToolsInScene {
    * @returns {boolean} whether anything is new
    */
   show(header, arrays) {
-    const shown = JSON.stringify([header.instruments, header.stitches]);
+    const shown = JSON.stringify([header.device, header.instruments, header.stitches]);
     if (shown === this.#shown && header.patches.length === 0 && this.patches.children.length === 0) return false;
     this.#shown = shown;
     const there = new Set();
@@ -61,6 +64,12 @@ export class ToolsInScene {
         there.add(this.#place(`${name} ${end}`, this.scene, COLOURS.probe, at, axes));
       }
     }
+    if (header.device) {
+      const { position_mm: tip, force_n: force } = header.device;
+      // the name of no instrument begins so
+      there.add(this.#place(" device", this.over, COLOURS.device, tip, null));
+      this.#setPoints(this.force, [tip, tip.map((/** @type {number} */ one, /** @type {number} */ axis) => one + FORCE_MM_N * force[axis])].flat());
+    } else this.#setPoints(this.force, []);
     for (const [name, ball] of this.#balls) {
       if (there.has(name)) continue;
       ball.removeFromParent();

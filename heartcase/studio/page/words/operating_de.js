@@ -46,4 +46,12 @@ export const operating = {
   plans_about: "{name}: {incision}, wie bei {time} s gehalten.",
   plans_too_near: "!: näher als 2 mm an einem Gefäß; solche Pläne stehen hinten.",
   plans_scores: "Wertungen sind eine Übereinkunft, um diese Pläne zu vergleichen, kein klinischer Rat.",
+  device: "Haptisches Gerät",
+  device_which: "Gerät",
+  device_start: "Hier starten",
+  device_stop: "Beenden",
+  device_simulated: "simuliert (nach Drehbuch)",
+  device_says: "Die Mitte seines Wegs liegt auf dem, was in der Bildmitte ist. Die orange Kugel ist seine Spitze, die Linie die Kraft auf die Hand. Endet es oder geht es verloren, lässt es sanft los, was es hielt.",
+  device_free: "Es hält nichts.",
+  device_holds: "Es hält Gewebe: {force} N auf die Hand ({part} % davon ausgegeben).",
 };

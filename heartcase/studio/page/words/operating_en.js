@@ -46,4 +46,12 @@ export const operating = {
   plans_about: "{name}: {incision}, as it was held at {time} s.",
   plans_too_near: "!: nearer than 2 mm to a vessel; such plans come last.",
   plans_scores: "Scores are a convention to compare these plans; they are no clinical advice.",
+  device: "Haptic device",
+  device_which: "Device",
+  device_start: "Start here",
+  device_stop: "Stop",
+  device_simulated: "simulated (scripted)",
+  device_says: "Its way has its middle at what is in the middle of the picture. The orange ball is its tip, the line the force on the hand. When it stops or is lost, what it held lets go softly.",
+  device_free: "It holds nothing.",
+  device_holds: "It holds tissue: {force} N on the hand ({part}% of it put out).",
 };

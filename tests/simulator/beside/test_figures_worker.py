@@ -24,11 +24,11 @@ from heartcase.schemas.recording.commands import (
 )
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.schemas.scripts.incision_plans import ShaftSettings
+from heartcase.simulator.beside.figures_worker import FiguresWorker, figures_of
+from heartcase.simulator.beside.recorded_figures import figures_of_recording, moments_of_incision
 from heartcase.simulator.incisions.blade_line import line_of_blade
 from heartcase.simulator.incisions.held_open import ShownHeart
-from heartcase.simulator.live.figures_worker import FiguresWorker, figures_of
 from heartcase.simulator.live.live import Live
-from heartcase.simulator.live.recorded_figures import figures_of_recording, moments_of_incision
 from heartcase.simulator.load import load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.planned_incisions import on_case, parse_plans, run_plan

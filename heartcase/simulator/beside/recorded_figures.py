@@ -21,8 +21,8 @@ from heartcase.schemas.recording.commands import (
 )
 from heartcase.schemas.recording.reader import Recording
 from heartcase.schemas.scripts.incision_plans import ShaftSettings
+from heartcase.simulator.beside.figures_worker import LiveFigures, figures_of
 from heartcase.simulator.live.cuts_done import Moment
-from heartcase.simulator.live.figures_worker import LiveFigures, figures_of
 from heartcase.simulator.live.live import moment_of
 from heartcase.simulator.load import Case
 from heartcase.simulator.session.operating_session import OperatingSession
@@ -78,9 +78,14 @@ def moments_of_incision(entries: Sequence[Entry]) -> tuple[int, int | None]:
 
 
 def figures_of_recording(
-    case: Case, recording: Recording, *, incision: int = 0, shaft: ShaftSettings | None = None
+    case: Case,
+    recording: Recording,
+    *,
+    incision: int = 0,
+    shaft: ShaftSettings | None = None,
+    reaches: bool = True,
 ) -> LiveFigures:
-    """Figures of one of the cuts of a recording as it was held open, with the reach of the tip.
+    """Figures of one of the cuts of a recording as it was held open.
 
     Parameters
     ----------
@@ -90,8 +95,8 @@ def figures_of_recording(
         The recording.
     incision
         Which of the cuts, from 0; the last where there are fewer.
-    shaft
-        As of :func:`heartcase.simulator.live.figures_worker.figures_of`.
+    shaft, reaches
+        As of :func:`heartcase.simulator.beside.figures_worker.figures_of`.
 
     Raises
     ------
@@ -105,7 +110,7 @@ def figures_of_recording(
     live = replace(moment_of(session), cuts=cuts, unheld=None if unheld is None else _moment(unheld))
     start = load_session(recording, case.model, surface=case.surface, tissue=case.tissue, snapshot_every_s=inf)
     whole = _moment(start).heart
-    return figures_of(live, whole, case.manifest.landmarks, min(incision, len(cuts) - 1), shaft=shaft)
+    return figures_of(live, whole, case.manifest.landmarks, min(incision, len(cuts) - 1), shaft=shaft, reaches=reaches)
 
 
 def _at(case: Case, recording: Recording, position: int) -> OperatingSession:
