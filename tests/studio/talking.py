@@ -18,7 +18,19 @@ from tests.cli.small_case import write_scan
 TOKEN, PORT = "a-token", 4711
 ADDRESS = f"http://127.0.0.1:{PORT}"
 
-ANSWERS = ("done", "refused", "places", "proposal", "found_ends", "preview", "folder", "series", "go", "picture")
+ANSWERS = (
+    "done",
+    "refused",
+    "places",
+    "planes",
+    "proposal",
+    "found_ends",
+    "preview",
+    "folder",
+    "series",
+    "go",
+    "picture",
+)
 
 RECIPE = """\
 # a comment that stays

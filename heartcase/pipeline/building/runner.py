@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
 from heartcase.pipeline.artifacts.serialise import artifact_to_bytes
@@ -18,7 +18,7 @@ from heartcase.pipeline.stages.stage import Node, Stage, Work
 from heartcase.schemas.bundle.format import StageRecord
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["BuildListener", "Runner", "SilentListener", "UncachedRunner", "run_stages"]
+__all__ = ["BuildListener", "Runner", "SilentListener", "SizeListener", "UncachedRunner", "run_stages"]
 
 T = TypeVar("T")
 
@@ -51,6 +51,14 @@ class BuildListener(Protocol):
         reused
             Whether its output was in the cache.
         """
+
+
+@runtime_checkable
+class SizeListener(Protocol):
+    """A listener that wants to know how large the scan is as well."""
+
+    def scan_read(self, voxel_count: int) -> None:
+        """Note how many voxels the scan's part has that is built from; before any stage that takes long."""
 
 
 class SilentListener:
@@ -113,11 +121,15 @@ class UncachedRunner:
         self.seconds[stage.name] = done[1] if done else time.perf_counter() - start
         if isinstance(value, Scan):
             self.voxel_count = value.values.size
+            self.tell_size()
         self.tell_finished(stage.name, self.seconds[stage.name], reused=False)
         return node
 
     def announce(self, stage: str) -> None:
         """Tell that a stage begins: here nobody."""
+
+    def tell_size(self) -> None:
+        """Tell how large the scan is: here nobody."""
 
     def tell_finished(self, stage: str, seconds: float, *, reused: bool) -> None:
         """Tell that a stage has its output: here nobody."""
@@ -193,6 +205,11 @@ class Runner(UncachedRunner):
         names = [step.name for step in table.steps()]
         after = sum(self._expected(later) for later in names[names.index(stage) + 1 :])
         self.listener.stage_started(stage, seconds_expected=self._expected(stage), seconds_after=after)
+
+    def tell_size(self) -> None:
+        """Tell the listener how large the scan is, where it wants to know."""
+        if isinstance(self.listener, SizeListener):
+            self.listener.scan_read(self.voxel_count)
 
     def tell_finished(self, stage: str, seconds: float, *, reused: bool) -> None:
         """Tell the listener that a stage has its output."""

@@ -35,7 +35,8 @@ from heartcase.pipeline.data import SimulationGrid, Structures
 from heartcase.pipeline.fields.reader import FieldReader
 from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.kernels.topology import betti_numbers, components, distance_in_samples, piece_sizes
-from heartcase.pipeline.warnings import CaseWarning, anatomy, counted, note
+from heartcase.pipeline.warning_words import sentence
+from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, Float32, Int32, UInt8
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.errors import StageError
@@ -113,13 +114,7 @@ def build_grid(structures: Structures, settings: GridSettings, *, pins: Sequence
     warnings += floating_pieces(samples.geometry, tissue, corners, fixed)
     hanging = hanging_cells(tissue, corners, nodes, fixed)
     if hanging:
-        warnings.append(
-            CaseWarning(
-                f"{counted(len(hanging), 'part')} of the tissue {'hangs' if len(hanging) == 1 else 'hang'} on the "
-                f"rest by an edge or a corner only and can swing freely, at {_places(samples, hanging)}: make the "
-                "cells smaller, or hold the tissue there ([[pins]])"
-            )
-        )
+        warnings.append(CaseWarning(sentence("hanging-tissue", count=len(hanging), places=_places(samples, hanging))))
     fine_ml = _tissue_volume_mm3(samples) * 1e-3
     grid_ml = float(coverage.sum(dtype=np.float64)) * samples.cell_mm**3 * 1e-3
     quality = {
@@ -239,35 +234,18 @@ def _shape_cells(
         cells_opened = len(state.removed)
         hinges = mend_hinges(samples, pieces, state, fine_pieces)
         if stranded:
-            warnings.append(
-                anatomy(
-                    f"{counted(len(stranded), 'part')} of the tissue {'is' if len(stranded) == 1 else 'are'} loose in "
-                    f"the simulation, but joined to the rest in the scan, at {_places(samples, stranded)}: make the "
-                    "cells smaller"
-                )
-            )
+            warnings.append(anatomy(sentence("loose-tissue", count=len(stranded), places=_places(samples, stranded))))
     leaks = find_leaks(samples, pieces, state)
     if leaks:
         places = _places(samples, [pair[0] for pair in leaks])
-        warnings.append(
-            anatomy(
-                f"a wall that is much thinner than a simulation cell has a hole in the simulation, not in the scan, at "
-                f"{places}: make the cells smaller"
-            )
-        )
+        warnings.append(anatomy(sentence("wall-with-hole", places=places)))
     blocked, (figures, changes) = side_by_side(
         lambda: blocked_openings(samples, pieces, state, blood_width),
         lambda: _compared(samples, fine_tissue, fine_blood, unrepaired, state),
     )
     if blocked:
         places = _places(samples, blocked)
-        warnings.append(
-            anatomy(
-                f"{counted(len(blocked), 'opening')} about as narrow as a simulation cell "
-                f"{'is' if len(blocked) == 1 else 'are'} closed in the simulation, not in the scan, at {places}: make "
-                "the cells smaller where such an opening matters"
-            )
-        )
+        warnings.append(anatomy(sentence("opening-shut", count=len(blocked), places=places)))
     quality: dict[str, Any] = {
         "repairs": {
             "leak_cells_added": leaks_closed,
@@ -335,14 +313,9 @@ def _topology_warnings(
         was, now = pieces["full_resolution"], pieces["grid"]
         # Without a change the same pieces are there, and one of them is about as large as a cell.
         if was != now and changes[name]:
-            meaning = "what belongs together is apart" if now > was else "separate parts were joined or lost"
-            warnings.append(
-                anatomy(
-                    f"the {name} is in {counted(was, 'separate piece')} at the scan's resolution but in {now} in the "
-                    f"simulation cells: {meaning}, at {_named([_place(samples, one) for one in changes[name]])}; make "
-                    "the cells smaller"
-                )
-            )
+            kind = f"{name}-apart" if now > was else f"{name}-joined"
+            places = _named([_place(samples, one) for one in changes[name]])
+            warnings.append(anatomy(sentence(kind, count=was, now=now, places=places)))
             left[name] = []
     blood, tissue = ([_place(samples, change) for change in changes[name]] for name in ("blood", "tissue"))
     if blood and tissue:
@@ -352,16 +325,10 @@ def _topology_warnings(
     where = [*(blood if left["blood"] else ()), *(tissue if left["tissue"] else ())]
     if where:
         is_whole = not (warnings or left["blood"] or quality["leaks_left"] or quality["openings_closed"])
-        kept = "; the chambers and the passages between them are as in the scan" if is_whole else ""
+        said = {"cell": f"{samples.cell_mm:.1f}", "count": len(where), "places": _named(where[:_SMALL_PLACES])}
         first = "the first " if len(where) > _SMALL_PLACES else ""
-        warnings.append(
-            note(
-                "the simulation does not keep the smallest gaps and strands of the tissue, which are about as small as "
-                f"one of its cells ({samples.cell_mm:.1f} mm): {counted(len(where), 'place')}, {first}at "
-                f"{_named(where[:_SMALL_PLACES])}{kept}. Nothing need be done; only where something so small matters, "
-                "make the cells smaller"
-            )
-        )
+        kind = "small-gaps-chambers-kept" if is_whole else "small-gaps"
+        warnings.append(note(sentence(kind, **(said | {"places": f"{first}at {said['places']}"}))))
     return warnings
 
 

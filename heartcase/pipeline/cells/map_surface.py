@@ -23,6 +23,7 @@ from heartcase.pipeline.cells.ties import Check, NodeTriangles, TieChooser, clos
 from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
 from heartcase.pipeline.fields.reader import FieldReader, steps_through
 from heartcase.pipeline.kernels.parallel import side_by_side
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from heartcase.schemas.bundle.lattice import cell_nodes, lattice_keys
@@ -150,9 +151,11 @@ def _map_level(surface: Surface, grid: SimulationGrid, reader: FieldReader, sett
         x, y, z = _densest(vertices[is_narrow], _CLUSTER_CELLS * grid.geometry.spacing_mm[0])
         warnings = (
             CaseWarning(
-                f"{100.0 * is_narrow.mean():.1f}% of the visible surface lies where a cavity or a wall is too narrow "
-                "for the simulation cells, and moves with what is nearest to it instead (most of it near "
-                f"({x:.1f}, {y:.1f}, {z:.1f}) mm): make the cells smaller if that place matters"
+                sentence(
+                    "surface-too-narrow",
+                    percent=f"{100.0 * is_narrow.mean():.1f}",
+                    place=f"({x:.1f}, {y:.1f}, {z:.1f})",
+                )
             ),
         )
     return GridMap(

@@ -9,6 +9,7 @@ import numpy as np
 from heartcase.pipeline.cells.sampling import CellSamples
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.kernels.topology import components
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, counted
 from heartcase.schemas.arrays import Bool, Int32, UInt8
 from heartcase.schemas.errors import Problem, StageError
@@ -97,13 +98,8 @@ def floating_pieces(geometry: Geometry, tissue: Bool, corners: Int32, fixed: UIn
     largest = loose[np.argmax(sizes)]
     x, y, z = geometry.index_to_world(np.argwhere(labels == largest)[:, ::-1].mean(axis=0))
     cells = counted(int(sizes.sum()), "cell")
-    one = len(loose) == 1
     return [
-        CaseWarning(
-            f"{counted(len(loose), 'piece')} of tissue ({cells}) {'is' if one else 'are'} attached to nothing that is "
-            f"held still and can drift away; {'it' if one else 'the largest'} is at ({x:.1f}, {y:.1f}, {z:.1f}) mm: "
-            "hold it there ([[pins]]) or remove it"
-        )
+        CaseWarning(sentence("floating-tissue", count=len(loose), cells=cells, place=f"({x:.1f}, {y:.1f}, {z:.1f})"))
     ]
 
 

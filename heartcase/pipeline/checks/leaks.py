@@ -20,6 +20,7 @@ from heartcase.pipeline.fields.contacts import Contact, Extent, faces_between, w
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, ownership_on_lattice, scratch, steps_through
 from heartcase.pipeline.fields.wall_thickness import thickness_at_points
 from heartcase.pipeline.kernels.parallel import side_by_side
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.geometry import Geometry
@@ -214,16 +215,15 @@ def _listed(warnings: list[CaseWarning]) -> list[CaseWarning]:
     rest = len(warnings) - MOST_WARNINGS
     if rest <= 0:
         return warnings
-    more = CaseWarning(f"and {rest} more places like the last, which are smaller", warnings[MOST_WARNINGS - 1].grade)
+    more = CaseWarning(sentence("more-places", rest=rest), warnings[MOST_WARNINGS - 1].grade)
     return [*warnings[:MOST_WARNINGS], more]
 
 
 def _of_joined(structures: Structures, change: Change) -> CaseWarning:
     one, other = (structures.table[value].name for value in change.labels)
-    what = f"the blood of {one} and of {other}" if one != other else f"two parts of the blood of {one}"
+    kind = "compartments-joined" if one != other else "parts-joined"
     return anatomy(
-        f"{what}: apart in the segmentation, but joined {_where(change.extent)} where the outlines are smoothed; paint "
-        "a stroke of background, or of the muscle, between them, or take a smaller walls.smoothing_mm",
+        sentence(kind, one=one, other=other, where=_where(change.extent)),
         code="compartments-joined",
         places_mm=(change.extent.center_mm,),
     )
@@ -231,10 +231,8 @@ def _of_joined(structures: Structures, change: Change) -> CaseWarning:
 
 def _of_split(structures: Structures, change: Change) -> CaseWarning:
     one, other = (structures.table[value].name for value in change.labels)
-    what = f"the blood of {one} and of {other}" if one != other else f"the blood of {one}"
     return anatomy(
-        f"{what}: in one piece in the segmentation, but cut in two {_where(change.extent)} where the passage is "
-        "narrow; widen it there with a stroke, or take a smaller walls.smoothing_mm",
+        sentence("compartments-split", one=one, other=other if one != other else None, where=_where(change.extent)),
         code="compartments-split",
         places_mm=(change.extent.center_mm,),
     )
@@ -243,8 +241,7 @@ def _of_split(structures: Structures, change: Change) -> CaseWarning:
 def _of_cut(structures: Structures, change: Change) -> CaseWarning:
     name = structures.table[change.labels[0]].name
     return anatomy(
-        f"{name}: cut in two by a grown septum {_where(change.extent)}, where it is narrow and lies along another "
-        "cavity; give the pair a smaller thickness_mm in [[walls.septum]], or paint the wall between the two",
+        sentence("cavity-cut-by-septum", label=name, where=_where(change.extent)),
         code="cavity-cut-by-septum",
         places_mm=(change.extent.center_mm,),
     )
@@ -253,20 +250,17 @@ def _of_cut(structures: Structures, change: Change) -> CaseWarning:
 def _of_gap(structures: Structures, cavity: int, extent: Extent, is_stated: bool) -> CaseWarning:
     label, places = structures.table[cavity], (extent.center_mm,)
     if is_stated:
-        text = f"{label.name}: open to the outside {_where(extent)}, as its table of thicknesses says"
+        text = sentence("gap-stated", label=label.name, where=_where(extent))
         return note(text, code="gap-stated", places_mm=places)
     if structures.table.wall_value(cavity) in structures.values:
         return anatomy(
-            f"{label.name}: its wall has a gap {_where(extent)}, so it is open to the outside there; if a vessel is "
-            "cut off there, mark it (an entry of 'ends'), else look at the segmentation there",
+            sentence("wall-gap", label=label.name, where=_where(extent)),
             code="wall-gap",
             places_mm=places,
         )
-    cut = "if it is cut off there, mark it (an entry of 'ends'), else " if label.role is Role.VESSEL_LUMEN else ""
+    kind = "vessel-open-to-outside" if label.role is Role.VESSEL_LUMEN else "open-to-outside"
     return anatomy(
-        f"{label.name}: its blood is open to the outside {_where(extent)}, with neither muscle nor a wall between; "
-        f"{cut}paint the muscle that is missing there and background beyond it, or, where the scan does not show so "
-        "thin a wall, give the label a wall_thickness_mm: a wall grows only where no muscle is",
+        sentence(kind, label=label.name, where=_where(extent)),
         code="open-to-outside",
         places_mm=places,
     )

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.fields.contacts import Contact, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.labels import Label, LabelTable
@@ -430,50 +431,33 @@ def _stated_by_contacts(places: Sequence[ContactPlace], table: LabelTable) -> It
 
 
 def _warnings_of(one: Opening) -> Iterator[CaseWarning]:
-    place, places = f"({', '.join(f'{value:.1f}' for value in one.center_mm)}) mm", (one.center_mm,)
-    pieces = f" in {one.patches} patches, the largest" if one.patches > 1 else ""
-    where = f"{one.names[0]} and {one.names[1]} are open to each other over {_area(one.area_mm2)}{pieces} near {place}"
+    places = (one.center_mm,)
+    said = {
+        "one": one.names[0],
+        "other": one.names[1],
+        "area": _number(one.area_mm2),
+        "patches": one.patches if one.patches > 1 else None,
+        "place": f"({', '.join(f'{value:.1f}' for value in one.center_mm)})",
+    }
     if one.verdict is Verdict.UNEXPECTED:
-        yield anatomy(
-            f"{where}: paint the wall between them (a stroke of background, or of the muscle), or the third cavity "
-            "whose blood they were given, if one lies there; or name the two in [[walls.septum]], so that one is "
-            "grown; or, if the patient has this opening, say so: an edit of kind septal_defect, or a landmark (point "
-            "or ring) there whose name says defect, VSD or ASD",
-            code="opening-unexpected",
-            places_mm=places,
-        )
+        code = "opening-unexpected"
+        yield anatomy(sentence(code, **said), code=code, places_mm=places)
     elif one.verdict is Verdict.OTHER_VENTRICLE:
-        yield CaseWarning(
-            f"{where}: the great artery arises from the other ventricle; is that the malformation?",
-            code="opening-other-ventricle",
-            places_mm=places,
-        )
+        code = "opening-other-ventricle"
+        yield CaseWarning(sentence(code, **said), code=code, places_mm=places)
     elif one.verdict is Verdict.UNKNOWN:
-        yield CaseWarning(
-            f"{where}: a name that heartcase does not know, so look whether a wall belongs between them",
-            code="opening-unknown",
-            places_mm=places,
-        )
+        code = "opening-unknown"
+        yield CaseWarning(sentence(code, **said), code=code, places_mm=places)
     elif one.is_odd_size and one.usual_mm is not None:
-        size = "narrow" if one.diameter_mm < one.usual_mm else "wide"
-        yield CaseWarning(
-            f"{where}, as a circle of {one.diameter_mm:.0f} mm: very {size} for this valve, where about "
-            f"{one.usual_mm:.0f} mm is usual with ventricles of this volume; check that the labels of the two meet at "
-            "the valve and that neither has taken a part of the other, or that this is the malformation",
-            code="valve-size",
-            places_mm=places,
-        )
+        kind = "valve-narrow" if one.diameter_mm < one.usual_mm else "valve-wide"
+        text = sentence(kind, **said, diameter=f"{one.diameter_mm:.0f}", usual=f"{one.usual_mm:.0f}")
+        yield CaseWarning(text, code="valve-size", places_mm=places)
     elif one.verdict is Verdict.STATED:
-        asked = "" if one.asked_mm2 is None else f", which asks for {_area(one.asked_mm2)}"
-        if one.is_too_large:
-            yield CaseWarning(
-                f"{where}, at {one.stated_by}{asked}: the wall around the defect may be missing as well",
-                code="opening-too-large",
-                places_mm=places,
-            )
-        else:
-            yield note(f"{where}, as stated by {one.stated_by}{asked}", code="opening-stated", places_mm=places)
+        code = "opening-too-large" if one.is_too_large else "opening-stated"
+        asked = None if one.asked_mm2 is None else _number(one.asked_mm2)
+        text = sentence(code, **said, by=one.stated_by, asked=asked)
+        yield (CaseWarning if one.is_too_large else note)(text, code=code, places_mm=places)
 
 
-def _area(area_mm2: float) -> str:
-    return f"{area_mm2:,.0f} mm²" if area_mm2 >= 10.0 else f"{area_mm2:.1f} mm²"
+def _number(area_mm2: float) -> str:
+    return f"{area_mm2:,.0f}" if area_mm2 >= 10.0 else f"{area_mm2:.1f}"

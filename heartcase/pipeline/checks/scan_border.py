@@ -12,6 +12,7 @@ import cc3d
 import numpy as np
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.geometry import Geometry
@@ -85,10 +86,12 @@ def voxel_warnings(geometry: Geometry) -> tuple[CaseWarning, ...]:
         return ()
     return (
         anatomy(
-            f"the scan's voxels are {longest / shortest:.1f} times as long as wide ({shortest:.3g} and {longest:.3g} "
-            "mm), so the shape between its slices is a guess: walls, openings and vessels that are thinner than "
-            f"{longest:.3g} mm may be lost or made up; take a scan with voxels that are nearly cubes where there is "
-            "one",
+            sentence(
+                "long-voxels",
+                times=f"{longest / shortest:.1f}",
+                shortest=f"{shortest:.3g}",
+                longest=f"{longest:.3g}",
+            ),
             code="long-voxels",
         ),
     )
@@ -152,23 +155,16 @@ def _warnings_of(
             (lengthwise if is_along else open_vessels).append(words)
     name, is_of_region = _named(face, geometry, whole)
     if cut:
-        remedy = (
-            "enlarge the region of interest there; where the scan ends there too, take one that holds the whole heart"
-            if is_of_region
-            else "take a scan that holds the whole heart"
-        )
-        yield anatomy(
-            f"the heart is cut off at {name}, without an end marker: {', '.join(cut)}. What lies beyond is missing "
-            f"from the model, its volumes and its pictures: {remedy}",
-            code="heart-cut-off",
-        )
+        kind = "heart-cut-off-by-region" if is_of_region else "heart-cut-off"
+        yield anatomy(sentence(kind, face=name, listed=", ".join(cut)), code="heart-cut-off")
     if lengthwise:
         yield CaseWarning(
-            f"{name} cuts along {', '.join(lengthwise)}, not across: look how much of it is missing beyond",
+            sentence("vessel-cut-lengthwise", face=name, listed=", ".join(lengthwise)),
             code="vessel-cut-lengthwise",
         )
     if open_vessels:
-        yield note(f"open where they leave through {name}: {', '.join(open_vessels)}", code="vessel-open-at-face")
+        text = sentence("vessel-open-at-face", face=name, listed=", ".join(open_vessels))
+        yield note(text, code="vessel-open-at-face")
 
 
 def _area_of_ends(face: _Face, labels: Segmentation, label: Label, ends: Sequence[VesselEnd]) -> float:

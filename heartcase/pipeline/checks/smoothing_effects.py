@@ -10,6 +10,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.checks.lumens import narrowest_lumens
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.schemas.arrays import Float32, UInt8
 from heartcase.schemas.geometry import Geometry
@@ -55,22 +56,12 @@ def smoothing_effects(
             continue
         name = table[value].name
         if value not in distances:
-            warnings.append(
-                anatomy(
-                    f"{name}: vanished in the smoothing of the outlines, as it is too thin for it; take a "
-                    "smaller walls.smoothing_mm"
-                )
-            )
+            warnings.append(anatomy(sentence("smoothed-away", label=name)))
             continue
         change = volume_voxels(distances[value], width) / int(counts[value]) - 1.0
         changes[name] = round(100.0 * change, 2) + 0.0
         if change < -LOSS_LIMIT:
-            warnings.append(
-                CaseWarning(
-                    f"{name}: the smoothing takes {-100.0 * change:.0f}% of its volume, as it is small; "
-                    "take a smaller walls.smoothing_mm"
-                )
-            )
+            warnings.append(CaseWarning(sentence("smoothed-smaller", label=name, percent=f"{-100.0 * change:.0f}")))
     lumens = []
     for one in narrowest_lumens(labels, distances, geometry, table):
         name, place = table[one.label].name, ", ".join(f"{x:.1f}" for x in one.position_mm)
@@ -83,13 +74,9 @@ def smoothing_effects(
             }
         )
         if one.smoothed_mm < one.segmented_mm - NARROWED_VOXELS * width:
-            to = f"to {one.smoothed_mm:.1f} mm" if one.smoothed_mm > 0.0 else "until it is closed"
-            warnings.append(
-                anatomy(
-                    f"{name}: the smoothing of the outlines narrows it near ({place}) mm "
-                    f"from {one.segmented_mm:.1f} mm {to}; take a smaller walls.smoothing_mm"
-                )
-            )
+            kind = "smoothed-narrower" if one.smoothed_mm > 0.0 else "smoothed-shut"
+            said = {"label": name, "place": f"({place})", "before": f"{one.segmented_mm:.1f}"}
+            warnings.append(anatomy(sentence(kind, **said, after=f"{one.smoothed_mm:.1f}")))
     return {"volume_change_percent": changes, "narrowest_lumens": lumens}, tuple(warnings)
 
 

@@ -20,6 +20,7 @@ from heartcase.pipeline.data import Reshaping, Segmentation, VesselEnd
 from heartcase.pipeline.ends.discs import Disc, Sides, Stumps, disc_of, end_marker, meets, sides_of
 from heartcase.pipeline.ends.find_ends import FoundEnds, find_ends
 from heartcase.pipeline.ends.snap_ends import advice_for, moved_words, snapped_end
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.schemas.arrays import Bool, Float64, UInt8
 from heartcase.schemas.errors import Problem, StageError
@@ -142,8 +143,7 @@ class _Work:
         if disc is not None and sides is not None and sides.is_divided and is_met:
             self._cut(f"{place} ({label.name})", end, label, disc, sides, "stated")
             if _cuts_heart_off(self.segmentation, self.table, sides):
-                words = "more of it is cut off than stays, with what a chamber touches: turn its axis out of the heart"
-                self.warnings.append(anatomy(f"{place} ({label.name}): {words}"))
+                self.warnings.append(anatomy(f"{place} ({label.name}): {sentence('end-cuts-heart')}"))
             return None
         moved = snapped_end(self.segmentation, label, end, self.stumps, self._ends_of(label))
         disc_there = self._disc(moved, label) if moved is not None else None
@@ -270,17 +270,10 @@ def _continue_lumen(labels: UInt8, disc: Disc, blood_values: Sequence[int]) -> t
     voxel = float(max(disc.geometry.spacing_mm))
     gap = -float(disc.along[lumen].max()) - 0.5 * voxel
     if gap > GAP_VOXELS * voxel:
-        messages.append(
-            CaseWarning(
-                f"the segmented vessel stops {gap:.1f} mm before this end marker and was continued straight to it: "
-                "if that is wrong, move the marker, or add a stroke to the vessel"
-            )
-        )
+        messages.append(CaseWarning(sentence("end-continued", mm=f"{gap:.1f}")))
     _, opened, _ = _areas((near == disc.value) & disc.cylinder, disc)
     if opened[steps <= 0.0][-1] < OPEN_SHARE * areas[np.searchsorted(steps, last)]:
-        messages.append(
-            anatomy("other structures close the vessel at this end marker: move the marker towards the heart")
-        )
+        messages.append(anatomy(sentence("end-shut")))
     return messages, radius_mm
 
 
@@ -404,10 +397,7 @@ def closed_vessels(segmentation: Segmentation, ends: Sequence[EndMarker | Vessel
     at_border = set(np.concatenate(sides).tolist())
     present = set(np.unique(labels).tolist())
     return tuple(
-        anatomy(
-            f"the {label.name} ends in a closed sac, as no vessel does: mark where it is cut off (an entry of 'ends' "
-            "in the recipe; heartcase suggest --ends proposes one)"
-        )
+        anatomy(sentence("closed-sac", label=label.name))
         for label in segmentation.table
         if label.role is Role.VESSEL_LUMEN
         and label.value in present

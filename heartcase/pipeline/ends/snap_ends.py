@@ -14,6 +14,7 @@ import numpy as np
 from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.ends.discs import Stumps, end_marker, is_clean, radii_for
 from heartcase.pipeline.ends.lumen_sections import Lumen, Section, across, angle_between
+from heartcase.pipeline.warning_words import sentence
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import Label
 from heartcase.schemas.recipe.settings import EndMarker
@@ -121,10 +122,12 @@ def moved_words(end: EndMarker, moved: EndMarker) -> str:
     """What was done to a marker, with the numbers that it has now."""
     away = float(np.linalg.norm(np.subtract(moved.position_mm, end.position_mm)))
     turn = angle_between(np.array(moved.axis), np.array(end.axis))
-    width = f" and its radius set to {moved.radius_mm:g} mm" if moved.radius_mm != end.radius_mm else ""
-    return (
-        f"the disc did not cut the vessel through, so it was moved by {away:.1f} mm onto it, turned by {turn:.0f} "
-        f"degrees{width}: look whether that is the vessel you mean, then write {_numbers(moved)}"
+    return sentence(
+        "end-moved",
+        mm=f"{away:.1f}",
+        degrees=f"{turn:.0f}",
+        radius=f"{moved.radius_mm:g}" if moved.radius_mm != end.radius_mm else None,
+        numbers=_numbers(moved),
     )
 
 

@@ -22,9 +22,8 @@ from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.settings import SegmentSettings, Stroke
 
 if TYPE_CHECKING:
-    from heartcase.pipeline.markers.suggest import RightPlace
     from heartcase.pipeline.markers.states import StillSegmentation
-    from heartcase.pipeline.markers.suggest import StrokePlaces
+    from heartcase.pipeline.markers.suggest import RightPlace, StrokePlaces
 
 __all__ = ["SegmentationSession"]
 

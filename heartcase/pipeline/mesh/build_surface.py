@@ -39,6 +39,7 @@ from heartcase.pipeline.mesh.texture.atlas import Atlas, make_atlas, tangents
 from heartcase.pipeline.mesh.texture.normal_map import bake_normal_map
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid, triangle_grid
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, note
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, UInt8
 from heartcase.schemas.bundle.surface_kinds import plain_kinds
@@ -103,16 +104,10 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     full, dropped, opposite = drop_small_shells(whole, volume_mm3=SPECK_MM3, fraction=SPECK_FRACTION, opposite=opposite)
     if np.abs(dropped).sum() > SPECK_MM3:
         warnings.append(
-            note(
-                f"{len(dropped)} tiny loose bits of tissue or hollows in it, {np.abs(dropped).sum():.0f} mm3 together "
-                f"and none above {SPECK_MM3:g} mm3, are not shown: nothing need be done unless "
-                "something that small matters"
-            )
+            note(sentence("specks", bits=len(dropped), total=f"{np.abs(dropped).sum():.0f}", most=f"{SPECK_MM3:g}"))
         )
     if full.is_capped:
-        warnings.append(
-            CaseWarning("the scan is too large to show its thinnest walls in full detail: make the [region] smaller")
-        )
+        warnings.append(CaseWarning(sentence("scan-too-large")))
     is_cut = cut_faces(structures, full.vertices_mm, full.triangles, full.lattice)
     still = np.zeros(len(full.vertices_mm), bool)
     still[full.triangles[is_cut]] = True
@@ -149,9 +144,12 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     if settings.error_mm is not None and quality["distance_p99_mm"] > settings.error_mm:
         warnings.append(
             CaseWarning(
-                f"with {quality['triangle_count']} triangles 1% of the visible surface is "
-                f"{quality['distance_p99_mm']:.2g} mm or more off its full resolution, not {settings.error_mm:g} mm: "
-                "allow more with surface.triangle_count"
+                sentence(
+                    "surface-error",
+                    triangles=quality["triangle_count"],
+                    off=f"{quality['distance_p99_mm']:.2g}",
+                    asked=f"{settings.error_mm:g}",
+                )
             )
         )
     levels, lost = _levels(source, surface, settings, size)
@@ -177,12 +175,7 @@ def _levels(
             reach_mm=source.reach_mm,
         )
         if len(coarse.crossing_pairs):
-            lost.append(
-                note(
-                    f"the level of detail with {count} triangles is left out, as thin walls would pass through each "
-                    "other with so few: nothing need be done unless a slow display needs it"
-                )
-            )
+            lost.append(note(sentence("level-left-out", triangles=count)))
         elif len(coarse.triangles) < len(last.triangles):
             levels.append(_finished(source, coarse, settings, size))
     return tuple(levels), tuple(lost)
@@ -251,35 +244,15 @@ def _shape_warnings(quality: dict[str, Any], asked: int) -> list[CaseWarning]:
     count = quality["triangle_count"]
     gaps = quality["open_edge_count"] + quality["non_manifold_edge_count"]
     if gaps:
-        warnings.append(
-            CaseWarning(
-                f"the visible surface has gaps or overlaps at {gaps} places and may not cut cleanly: ask for more "
-                "triangles"
-            )
-        )
+        warnings.append(CaseWarning(sentence("surface-gaps", gaps=gaps)))
     bad = quality["degenerate_triangle_count"] + quality["flipped_triangle_count"]
     if bad > SHOWN_SHARE * count:
-        warnings.append(
-            note(
-                f"{bad} of the surface's {count} triangles are folded over and may show as dark spots: ask for more "
-                "triangles if they disturb"
-            )
-        )
+        warnings.append(note(sentence("surface-folded", bad=bad, triangles=count)))
     crossing = quality["self_intersection_count"]
     if crossing:
-        warnings.append(
-            CaseWarning(
-                f"the visible surface passes through itself at {crossing} pairs of triangles and may not cut or print "
-                "cleanly there: ask for more triangles"
-            )
-        )
+        warnings.append(CaseWarning(sentence("surface-crossing", pairs=crossing)))
     if count > (1.0 + SHOWN_SHARE) * asked:
-        warnings.append(
-            note(
-                f"the surface has {count} triangles instead of the {asked} asked for, as fewer would break its shape: "
-                "nothing need be done unless the display is slow"
-            )
-        )
+        warnings.append(note(sentence("surface-more-triangles", triangles=count, asked=asked)))
     return warnings
 
 

@@ -28,6 +28,7 @@ from heartcase.pipeline.walls.septa import (
     septum_warnings,
     with_septa,
 )
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import Problem, StageError
@@ -214,13 +215,8 @@ def _table_warnings(structures: Structures) -> tuple[CaseWarning, ...]:
     for table in structures.thickness_tables:
         name = structures.table[table.cavity].name
         if table.cavity in structures.distance_mm and table.cavity not in grown:
-            warnings.append(CaseWarning(f"{name}: its wall is segmented, so its table of thicknesses has no effect"))
+            warnings.append(CaseWarning(sentence("table-unused", label=name)))
         index = structures.geometry.world_to_index(np.array(table.points_mm))
         if not ((index > -0.5) & (index < np.array(structures.geometry.size) - 0.5)).all(axis=1).any():
-            warnings.append(
-                anatomy(
-                    f"{name}: no point of its table of thicknesses lies in the scan: give the points in LPS mm "
-                    "(programs that show RAS have x and y of the opposite sign)"
-                )
-            )
+            warnings.append(anatomy(sentence("table-outside", label=name)))
     return tuple(warnings)

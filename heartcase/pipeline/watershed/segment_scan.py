@@ -8,6 +8,7 @@ import cc3d
 import numpy as np
 
 from heartcase.pipeline.data import UNMARKED, Markers, Scan, Segmentation
+from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
@@ -182,31 +183,18 @@ def segmentation_warnings(
     """
     warnings: list[CaseWarning] = []
     if filtered is not None and filtered.values.size and filtered.values.min() == filtered.values.max():
-        warnings.append(
-            anatomy(
-                "the scan has the same intensity everywhere, so the outlines only show which marker is nearest: check "
-                "that this is the right scan"
-            )
-        )
+        warnings.append(anatomy(sentence("no-contrast")))
     table = segmentation.table
     unmarked: set[int] = set()
     if markers is not None:
         unmarked = set(table.values) - set(np.unique(markers.labels).tolist())
         if BACKGROUND in unmarked:
-            warnings.append(
-                anatomy(
-                    "nothing is marked as background, so everything beside the heart was taken for heart: paint some "
-                    "of what is not heart, all around it"
-                )
-            )
+            warnings.append(anatomy(sentence("no-background")))
     found = np.bincount(segmentation.labels.ravel(), minlength=256)
     for label in table:
         if label.value != BACKGROUND and not found[label.value] and label.value not in made_later:
-            if label.value in unmarked:
-                text = "is not in the model, as nothing was painted for it: paint it if this heart has one"
-            else:
-                text = "is not in the model, as no part of the scan was found to be it: check the slices"
-            warnings.append(CaseWarning(f"the {label.name} {text}"))
+            kind = "not-painted" if label.value in unmarked else "not-found"
+            warnings.append(CaseWarning(sentence(kind, label=label.name)))
     for connectivity, values in _groups(table):
         warnings += _stray_pieces(segmentation, values, connectivity)
     return tuple(warnings)
@@ -235,13 +223,8 @@ def _stray_pieces(segmentation: Segmentation, values: tuple[int, ...], connectiv
             stray.append(f"{volume:.2g} ml near ({x:.0f}, {y:.0f}, {z:.0f}) mm")
         more = len(own) - 1 - len(stray)
         rest = f" and {more} more" if more else ""
-        name = segmentation.table[value].name
-        warnings.append(
-            CaseWarning(
-                f"the {name} is in {len(own)} pieces; beside the largest: {', '.join(stray)}{rest}: look there in the "
-                "slices whether they are real"
-            )
-        )
+        name, listed = segmentation.table[value].name, f"{', '.join(stray)}{rest}"
+        warnings.append(CaseWarning(sentence("stray-pieces", label=name, pieces=len(own), listed=listed)))
     return warnings
 
 

@@ -25,6 +25,7 @@ from heartcase.studio.asking import parsed, request_id
 from heartcase.studio.building.outcome import Outcome, outcome_of
 from heartcase.studio.building.process import BuildProcess
 from heartcase.studio.building.requests import Approve, BuildRequest, Order
+from heartcase.studio.building.times import StageTimes
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 
@@ -68,7 +69,10 @@ class Building:
         self._running: asyncio.Task[None] | None = None
         self._watching: asyncio.Task[None] | None = None
         self._steps: list[dict[str, Any]] = []
-        self._expected: tuple[float, float, float] | None = None
+        self._expected: tuple[float, float | None, float | None] | None = None
+        self._voxel_count: int | None = None
+        self._took_s: dict[str, float] = {}
+        self._times = StageTimes(out / ".heartcase-cache" / "studio" / "times.json")
         self._compiling: tuple[int, int] | None = None
         self._problems: list[dict[str, str]] = []
         self._is_cancelled = False
@@ -143,7 +147,8 @@ class Building:
             raise UsageError("a build runs already: wait for it, or cancel it", place="build")
         names = [MAKING_THE_SCAN, *(step.name for step in steps())]
         self._steps = [{"stage": name, "state": "waiting", "seconds": 0.0} for name in names]
-        self._expected = self._compiling = self._changed = None
+        self._expected = self._compiling = self._changed = self._voxel_count = None
+        self._took_s = {}
         self._problems, self._is_cancelled = [], False
         self._before_ml = dict(self._outcome.figures["volumes_ml"]) if self._outcome is not None else {}
         self._process = BuildProcess(self._recipe, self._out)
@@ -167,6 +172,8 @@ class Building:
                         built = news
                     case "failed":
                         self._problems = news["problems"]
+                    case "size":
+                        self._voxel_count = news["voxel_count"]
                     case "compiling":
                         self._compiling = news["done"], news["total"]
                     case kind:
@@ -174,6 +181,7 @@ class Building:
                 self._tell()
             if built is not None:
                 self._changed = built["changed"]
+                self._learn()
                 places = {one["text"]: tuple(map(tuple, one["places_mm"])) for one in built["warnings"]}
                 await self._run(lambda: self._remember(Path(built["case"]), sha256, places))
             else:
@@ -198,11 +206,23 @@ class Building:
             return
         if kind == "started":
             step["state"] = "running"
-            self._expected = time.monotonic(), news["seconds_expected"], news["seconds_after"]
+            names = [one["stage"] for one in self._steps]
+            later = names[names.index(news["stage"]) + 1 :]
+            own, after = (self._times.expected(self._voxel_count, one) for one in ([news["stage"]], later))
+            self._expected = time.monotonic(), own, after
         else:
             step["state"] = "reused" if news["reused"] else "computed"
             step["seconds"] = round(news["seconds"], 2)
+            if not news["reused"] and self._expected is not None:
+                # by the clock, with all that belongs to it
+                self._took_s[news["stage"]] = time.monotonic() - self._expected[0]
             self._expected = None
+
+    def _learn(self) -> None:
+        """Remember how long the stages took, unless kernels were compiled beside them."""
+        if self._voxel_count is not None and not (self._compiling and self._compiling[1]):
+            idle = {one["stage"]: 0.0 for one in self._steps if one["state"] == "waiting"}
+            self._times.learn(self._voxel_count, idle | self._took_s)
 
     def _approve(self, request: Approve) -> None:
         case = self._whole_case()
@@ -315,7 +335,8 @@ class Building:
         expected = None
         if self._expected is not None:
             start, seconds, after = self._expected
-            expected = {"elapsed": time.monotonic() - start, "seconds": seconds, "after": after}
+            left = None if seconds is None or after is None else {"seconds": seconds, "after": after}
+            expected = {"elapsed": time.monotonic() - start, "left": left}
         age = "unknown"
         if self._built_from is not None:
             age = "current" if self._built_from == self._recipe_sha256 else "older"

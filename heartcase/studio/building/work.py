@@ -55,6 +55,10 @@ class _Teller:
         """Tell that a stage has its output."""
         self.tell("finished", stage=stage, seconds=seconds, reused=reused)
 
+    def scan_read(self, voxel_count: int) -> None:
+        """Tell how large the scan is."""
+        self.tell("size", voxel_count=voxel_count)
+
     def compiled(self, state: Progress) -> None:
         """Tell how many kernels are compiled."""
         self.tell("compiling", done=state.done + state.failed, total=state.total)

@@ -32,6 +32,7 @@ __all__ = [
     "Resize",
     "Run",
     "Seen",
+    "Slice",
     "Strain",
     "Take",
     "TourTo",
@@ -210,6 +211,30 @@ class CutOpen(_Asked):
     """Where; null where it does not."""
 
 
+class Slice(_Asked):
+    """Show a slice of the scan."""
+
+    do: Literal["slice"]
+    """Which request."""
+    name: Literal["cut", "axial", "coronal", "sagittal"]
+    """Which of the page's slices; it comes with the picture."""
+    point_mm: PointMm
+    """A point of its plane, LPS mm."""
+    right: Direction
+    """To the picture's right, LPS, unit length."""
+    down: Direction
+    """Down the picture, LPS, unit length."""
+
+    @model_validator(mode="after")
+    def _is_a_plane(self) -> Slice:
+        if np.abs([self.point_mm, self.right, self.down]).max() > _FAR_MM:
+            raise ValueError(f"a slice is at most {_FAR_MM:g} mm away")
+        axes = np.array([self.right, self.down])
+        if np.abs(axes @ axes.T - np.eye(2)).max() > _PERPENDICULAR_MAX:
+            raise ValueError("the axes of a picture are perpendicular and of unit length")
+        return self
+
+
 class Strain(_Asked):
     """Send how far the tissue is stretched, too."""
 
@@ -299,6 +324,7 @@ Request = (
     | Begin
     | Hide
     | CutOpen
+    | Slice
     | Strain
     | Tours
     | TourTo

@@ -29,6 +29,7 @@ from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
+from heartcase.studio.operating.surroundings import cannulae
 
 __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 
@@ -77,6 +78,7 @@ class Stage:
         self._heard = heard
         self.normal_map = normal_map
         self._sha256 = sha256
+        self._cannulae = cannulae(case)
         self._axes = axes or {"planes": {}, "centre_mm": None}
         self.structures = Structures(case.manifest, case.triangle_structures)
         self.cell_labels = CellLabels(case)
@@ -222,6 +224,7 @@ class Stage:
             "tissue_inside": self.cell_labels.inside(self.structures),
             "cut_faces": CUT_FACES,
             "heart_axes": self._axes,
+            "cannulae": self._cannulae,
             "tools": [
                 {"key": tool.key, "size_words": tool.size_words, "size": tool.size, "sizes": tool.sizes}
                 for tool in TOOLS

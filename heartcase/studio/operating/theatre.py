@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,6 +14,7 @@ from heartcase.schemas.errors import RecordingError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.messages import problems_of, text_message, told
+from heartcase.studio.operating.packing import packed
 from heartcase.studio.operating.requests import (
     Act,
     Along,
@@ -32,6 +34,7 @@ from heartcase.studio.operating.requests import (
     Resize,
     Run,
     Seen,
+    Slice,
     Strain,
     Take,
     Tours,
@@ -39,12 +42,13 @@ from heartcase.studio.operating.requests import (
     Wheel,
     parse_request,
 )
+from heartcase.studio.operating.scan_slices import ScanSlices, has_scan, open_scan
 from heartcase.studio.operating.stage import Stage, open_stage
 from heartcase.studio.operating.tour_leading import TourLeading
 from heartcase.studio.operating.viewer import Viewer
 from heartcase.studio.pages import Page
 
-__all__ = ["Theatre"]
+__all__ = ["Origin", "Theatre"]
 
 T = TypeVar("T")
 
@@ -55,6 +59,16 @@ _LOOK_EVERY_S = 1.0
 """How often it is looked whether the case was built anew."""
 _OLDER = "the case was built anew, and what is shown is the one before: begin anew to see the new one"
 _BUILT_ANEW = "the case was built anew: this is the new one, and the session on the one before has ended"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The recipe that a case was built from."""
+
+    recipe: Path
+    """Its file; never told to a page."""
+    address: str
+    """Path of its page in this server's addresses."""
 
 
 class Theatre:
@@ -69,15 +83,18 @@ class Theatre:
         The case's folder.
     out
         Folder that recordings are put into.
-    recipe_folder
-        Folder of the case's recipe, where that is known: tours may stand there.
+    origin
+        The recipe that it was built from, where it was opened from one: tours may stand beside it.
     """
 
-    def __init__(self, case: Path, *, out: Path, recipe_folder: Path | None = None) -> None:
+    def __init__(self, case: Path, *, out: Path, origin: Origin | None = None) -> None:
         self._case = case
         self._out = out
-        folders = (case.parent, *(() if recipe_folder is None else (recipe_folder,)))
-        self._tours = TourLeading(folders, self._problems, self._begin)
+        self.origin = origin
+        self._tours = TourLeading(self._tour_folders, self._problems, self._begin)
+        self._scan: tuple[Stage, Path | None, ScanSlices] | None = None
+        self._slicing = ThreadPoolExecutor(1, thread_name_prefix="theatre-slices")
+        self._slices: set[asyncio.Task[None]] = set()
         self._stage: Stage | None = None
         self._viewers: dict[Page, Viewer] = {}
         self._waiting: set[Page] = set()
@@ -89,6 +106,9 @@ class Theatre:
         self._watching: asyncio.Task[None] | None = None
         self._resting: asyncio.Task[None] | None = None
         self._rests = False
+
+    def _tour_folders(self) -> tuple[Path, ...]:
+        return (self._case.parent, *(() if self.origin is None else (self.origin.recipe.parent,)))
 
     async def join(self, page: Page) -> None:
         """Show a page the case, and then each moment."""
@@ -145,7 +165,12 @@ class Theatre:
 
     def _greet(self, page: Page, stage: Stage) -> None:
         """Let a page look at a stage, from its beginning."""
-        page.send(text_message("opened", **stage.greeting()))
+        origin = self.origin
+        more = {
+            "recipe": None if origin is None else origin.address,
+            "scan": has_scan(self._case, None if origin is None else origin.recipe),
+        }
+        page.send(text_message("opened", **stage.greeting(), **more))
         if (picture := stage.picture_message()) is not None:
             page.send(picture)
         self._viewers[page] = Viewer(stage)
@@ -176,6 +201,12 @@ class Theatre:
                 viewer.seen(request.frame)
                 self._news.set()
                 return
+            if isinstance(request, Slice):
+                # the scan may have to be read first: what is done meanwhile does not wait for it
+                task = asyncio.create_task(self._send_slice(page, request, stage))
+                self._slices.add(task)
+                task.add_done_callback(self._slices.discard)
+                return
             async with self._turn:
                 # What it looked at when it asked may be closed by now.
                 viewer, stage = self._viewers.get(page), self._stage
@@ -194,6 +225,35 @@ class Theatre:
         }
         page.send(text_message("done", id=request.id, **own, **answer))
 
+    async def _send_slice(self, page: Page, request: Slice, stage: Stage) -> None:
+        """Show a page a slice of the scan."""
+        recipe = None if self.origin is None else self.origin.recipe
+        try:
+            found = await asyncio.get_running_loop().run_in_executor(
+                self._slicing, lambda: self._slice(request, stage, recipe)
+            )
+        except Exception as error:
+            page.send(text_message("refused", id=request.id, problems=self._problems(error)))
+            return
+        page.send(found)
+        page.send(text_message("done", id=request.id, tool="", size=None, line_mm=[]))
+
+    def _slice(self, request: Slice, stage: Stage, recipe: Path | None) -> bytes:
+        if self._scan is None or self._scan[:2] != (stage, recipe):
+            self._scan = None
+            self._scan = stage, recipe, open_scan(self._case, recipe)
+        shown = self._scan[2].through(request.point_mm, request.right, request.down)
+        header = {
+            "kind": "slice",
+            "name": request.name,
+            "origin_mm": shown.origin_mm.tolist(),
+            "right": request.right,
+            "down": request.down,
+            "width_mm": shown.width_mm,
+            "height_mm": shown.height_mm,
+        }
+        return packed(header, {"greys": shown.greys})
+
     async def close(self) -> None:
         """End the session: what was begun is made, and what is recorded is finished."""
         self._waiting.clear()
@@ -209,6 +269,7 @@ class Theatre:
             if stage is not None:
                 await self._run(stage.close)
         self._thread.shutdown()
+        self._slicing.shutdown(wait=False, cancel_futures=True)
 
     def _open(self) -> Callable[[], Stage]:
         loop = asyncio.get_running_loop()

@@ -25,7 +25,7 @@ class TourLeading:
     Parameters
     ----------
     folders
-        Where tours of the case may stand.
+        Tells where tours of the case may stand.
     problems_of
         What a page is told of an error.
     begin
@@ -34,7 +34,7 @@ class TourLeading:
 
     def __init__(
         self,
-        folders: tuple[Path, ...],
+        folders: Callable[[], tuple[Path, ...]],
         problems_of: Callable[[BaseException], list[dict[str, str]]],
         begin: Callable[[Stage], Awaitable[None]],
     ) -> None:
@@ -49,7 +49,7 @@ class TourLeading:
     def listed(self, stage: Stage) -> dict[str, Any]:
         """The tours of a stage's case, read anew; what is wrong with others."""
         places = CasePlaces(stage.case)
-        found = find_tours(places, self._folders, sample_folder())
+        found = find_tours(places, self._folders(), sample_folder())
         if stage is not self._stage or self._found is None or found != self._found:
             self._stage, self._found, self._guide = stage, found, Guide(places)
         return {

@@ -3,6 +3,7 @@
 import { BuildTab } from "./building/build_tab.js";
 import { runDrafts } from "./panel/drafts.js";
 import { Guide } from "./panel/guide.js";
+import { runNaming } from "./panel/naming.js";
 import { runPlanes } from "./panel/planes.js";
 import { Status } from "./panel/status.js";
 import { Structures } from "./panel/structures.js";
@@ -99,6 +100,7 @@ function run() {
     else if (studio.tool.value === "shape") studio.take(studio.toolBefore === "shape" ? "pointer" : studio.toolBefore);
   });
   runHelp(shortcuts.areOn);
+  runNaming(studio, shaping);
   runPlanes(studio, views, (request) => connection.ask(request), (error) => fault(error));
   runDrafts(studio, location.pathname.replace("/prepare/", "/draft/"));
   find("next-place").addEventListener("click", () => actions.nextPlace());
@@ -150,7 +152,7 @@ function run() {
   function open(message) {
     studio.ready.value = false;
     views.begin(message.size, message.index_to_world);
-    find("case-name").textContent = find("case-name").title = message.name;
+    find("case-name").textContent = message.name;
     studio.modality.value = message.modality;
     studio.firstWindow.value = message.window;
     studio.range.value = message.range;

@@ -72,4 +72,5 @@ def _plane(
     picture = np.where(is_shown[..., None], (1.0 - _SHARE) * grey + _SHARE * colours[found], grey)
     away = np.hypot(off[:, None], off[None, :]) * PICTURE_SIZE
     picture[np.abs(away - 9.0) < 0.8] = _RING
-    return picture.astype(np.uint8)
+    shown: UInt8 = picture.astype(np.uint8)
+    return shown

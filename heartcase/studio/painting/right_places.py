@@ -10,7 +10,7 @@ from heartcase.pipeline.markers.suggest import RightPlace
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["MOST_PLACES", "confirm_place", "confirm_again"]
+__all__ = ["MOST_PLACES", "confirm_again", "confirm_place"]
 
 MOST_PLACES = 1000
 """The oldest ones go first."""

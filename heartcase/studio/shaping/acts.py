@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from heartcase.pipeline.building.recipe_text import Inserted, changed_text, place_words, without_line
-from heartcase.schemas.base import Model
+from heartcase.schemas.base import Model, Name
 from heartcase.schemas.errors import Problem, UsageError, problems_from_validation
 from heartcase.schemas.labels import Label
 from heartcase.schemas.landmarks import Landmark
@@ -38,6 +38,7 @@ _LINES: dict[str, TypeAdapter[Any]] = {
     "walls.septum": TypeAdapter(SeptumThickness),
     "walls.contact": TypeAdapter(ContactPlace),
 }
+_NAME: TypeAdapter[str] = TypeAdapter(Name)
 _BARE = ("smooth", "fill", "keep_largest", "remove_islands")
 """Edits that come before all others, whatever their place: a build refuses some of them behind others."""
 _FIRST_KEYS = ("kind", "name", "label")
@@ -156,6 +157,12 @@ def _without_automatic(head: str) -> str:
 
 def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
     first, *rest = request.place
+    if first == "name" and not rest:
+        try:
+            name = _NAME.validate_python(request.value)
+        except ValidationError as error:
+            raise UsageError(problems_from_validation(error, place="name")) from None
+        return changed_text(head, (("name",), name)), "name"
     if first == "labels" and len(rest) == 2 and rest[1] == "wall_thickness_mm":
         return _set_wall(head, recipe, rest[0], request.value)
     if first == "materials" and rest[0] == "labels" and len(rest) == 2:

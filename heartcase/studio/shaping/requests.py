@@ -81,8 +81,8 @@ class Set(Model):
     """Number that the answer names."""
     do: Literal["set"]
     """Which request."""
-    place: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], Field(min_length=2, max_length=4)]
-    """Keys that lead to it; a label is called by its name."""
+    place: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], Field(min_length=1, max_length=4)]
+    """Keys that lead to it; a label is called by its name. The case's own name is ``name`` alone."""
     value: JsonValue = None
     """What is set; null leaves the setting out, so that its default counts."""
 

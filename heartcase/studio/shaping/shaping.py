@@ -43,6 +43,7 @@ class Shaping:
         table = recipe.table
         devices = sorted({edit.label for edit in recipe.edits if edit.kind == "close_defect"} - _names(recipe))
         return {
+            "name": recipe.name,
             "lines": {name: [plain(line) for line in _at(recipe, name)] for name in LINES},
             "settings": {
                 name: {key: value for key, value in plain(_at(recipe, name)).items() if key in keys}

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from heartcase.schemas.base import Model
+from heartcase.schemas.base import Model, Name
 from heartcase.studio.asking import RequestId
 
 __all__ = ["Begin", "List", "Look", "Open", "Reopen", "Sample", "StartRequest"]
@@ -60,6 +60,8 @@ class Begin(Model):
         str, Field(min_length=1, max_length=100, pattern=r"^[^/\\\x00-\x1f:*?\"<>|.][^/\\\x00-\x1f:*?\"<>|]*$")
     ]
     """The recipe's file name there; .toml is added where it lacks."""
+    name: Name | None = None
+    """Name of the case: not the patient's. Made up when left out."""
 
 
 class Open(Model):

@@ -21,7 +21,7 @@ import { Results } from "./results.js";
  */
 /**
  * @typedef {{is_running: boolean, is_cancelled: boolean, steps: Step[], compiling: [number, number] | null,
- *   expected: {elapsed: number, seconds: number, after: number} | null, problems: Problem[], changed: boolean | null,
+ *   expected: {elapsed: number, left: {seconds: number, after: number} | null} | null, problems: Problem[], changed: boolean | null,
  *   age: "current" | "older" | "unknown", case: Case | null, before_ml: Record<string, number>}} State
  */
 
@@ -148,14 +148,16 @@ export class BuildTab {
     bar.hidden = time.hidden = !state?.is_running;
     if (!state?.is_running) return;
     const words = [];
-    if (state.expected) {
-      const { elapsed, seconds, after } = state.expected;
+    const isCompiling = state.compiling !== null && state.compiling[0] < state.compiling[1];
+    // what takes as long as it takes for the first time is not guessed
+    if (state.expected?.left && !isCompiling) {
+      const { elapsed, left: { seconds, after } } = state.expected;
       const passed = elapsed + (performance.now() - this.#since) / 1000;
       const left = Math.max(seconds - passed, 0) + after;
       bar.value = Math.min(passed / Math.max(seconds, 0.1), 0.97);
       words.push(left < 1 ? say("build_nearly") : left < 120 ? say("build_seconds_left", { n: figure(left, 0) }) : say("build_minutes_left", { n: figure(left / 60, 0) }));
     } else bar.removeAttribute("value");
-    if (state.compiling && state.compiling[0] < state.compiling[1]) {
+    if (state.compiling && isCompiling) {
       words.push(say("build_compiling", { done: state.compiling[0], total: state.compiling[1] }));
     }
     const text = words.join(" · ");

@@ -11,7 +11,9 @@ const SENTENCES = { de };
 /** @param {{text: string, code: string, parts: Parts}} warning */
 export function warningWords({ text, code, parts }) {
   const template = SENTENCES[language.value]?.[code];
-  return template === undefined ? text : capital(filled(template, parts));
+  if (template === undefined) return text;
+  const said = filled(template, parts);
+  return capital(parts.about ? `${localised(parts.about)}: ${said}` : said);
 }
 
 /** Whether a warning is said in the page's language. @param {{code: string}} warning */
@@ -25,16 +27,19 @@ export function isWorded({ code }) {
  * @param {Parts} values
  */
 export function filled(template, values) {
-  const whole = template.replaceAll("[[", "\u0001").replaceAll("]]", "\u0002")
+  const whole = template.replaceAll("\\[", "\u0003").replaceAll("\\]", "\u0004").replaceAll("[[", "\u0001").replaceAll("]]", "\u0002")
     .replace(/\[([^[\]]*)\]/g, (_, part) => ([.../\{(\w+)#?\}/g[Symbol.matchAll](part)].every(([, name]) => name in values) ? part : ""))
     .replace(/<([^<>|]*)\|([^<>|]*)>/g, (_, one, several) => (values.count === "1" ? one : several));
-  return whole.replaceAll("\u0001", "[[").replaceAll("\u0002", "]]").replace(/\{(\w+)#?\}/g, (_, name) => localised(values[name] ?? ""));
+  return whole.replaceAll("\u0001", "[[").replaceAll("\u0002", "]]").replaceAll("\u0003", "[").replaceAll("\u0004", "]").replace(/\{(\w+)#?\}/g, (_, name) => localised(values[name] ?? ""));
 }
 
 /** A value as this language writes it: decimal comma, and the few words between parts of a list. @param {string} value */
 function localised(value) {
   if (/^-?[\d.,]+$/.test(value)) return value.replace(/[.,]/g, (mark) => (mark === "." ? "," : "."));
-  return value.replace(/ and (\d+) more/g, " und $1 weitere").replaceAll(" and ", " und ").replaceAll(" near (", " bei (")
+  return value.replace(/ and (\d+) more/g, " und $1 weitere").replaceAll(" and ", " und ")
+    .replace(/ in (\d+) patches, the largest near \(/g, " an $1 Stellen, die größte bei (").replaceAll(" near (", " bei (")
+    .replace(/\bover (?=\d)/g, "auf ").replace(/^the first at /, "die ersten bei ").replace(/^at (?=\()/, "bei ")
+    .replace(/ mm thick\)/g, " mm dick)").replace(/ in pieces of up to /g, " in Stücken bis ").replace(/\bcells\b/g, "Zellen").replace(/\bcell\b/g, "Zelle")
     .replace(/(\d)\.(\d+)(?= ?(?:mm|ml|%)(?!\w))/g, "$1,$2");
 }
 

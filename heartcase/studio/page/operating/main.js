@@ -14,6 +14,9 @@ import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
 import { PlaneControls } from "./plane_controls.js";
 import { Pointer } from "./pointer.js";
+import { ScanControls } from "./scan_controls.js";
+import { SecondView } from "./second_view.js";
+import { Surroundings } from "./surroundings.js";
 import { TimeLine } from "./time_line.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
@@ -36,7 +39,7 @@ language.follow((name) => {
 export const open = { picture: null, header: null, tour: null };
 
 function run() {
-  const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")));
+  const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")), find("scene"));
   open.picture = picture;
   const url = new URL(location.pathname.replace("/operate/", "/operating/"), location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -71,20 +74,30 @@ function run() {
     return connection.ask({ do: "command", command: { kind: "go_to", step } });
   });
   picture.detail.wanted = () => ask({ do: "coarser" });
-  const pointer = new Pointer(find("scene"), picture.camera, {
-    ask: (request) => connection.ask(request),
-    answered,
-    failed: fault,
-    changed: () => picture.move(),
-    hasTool: () => tool !== "",
-    isReady: () => isReady,
-    cursorMoved: () => {
-      const { cursor } = pointer;
-      find("cursor").hidden = cursor === null;
-      if (cursor) Object.assign(find("cursor").style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
-    },
-  });
-
+  const second = new SecondView(picture);
+  /** @param {string} surface @param {import("./camera.js").Camera} camera @param {string} cursor @returns {Pointer} */
+  const pointerOn = (surface, camera, cursor) => {
+    const made = new Pointer(find(surface), camera, {
+      ask: (request) => connection.ask(request),
+      answered,
+      failed: fault,
+      changed: () => picture.move(),
+      // one hand acts at a time
+      hasTool: () => tool !== "" && pointers.every((one) => one === made || !one.isUsed),
+      isReady: () => isReady,
+      cursorMoved: () => {
+        find(cursor).hidden = made.cursor === null;
+        if (made.cursor) Object.assign(find(cursor).style, { left: `${made.cursor.x}px`, top: `${made.cursor.y}px` });
+      },
+    });
+    for (const name of ["pointerenter", "pointerdown", "focus"]) find(surface).addEventListener(name, () => (pointer = made));
+    return made;
+  };
+  /** @type {Pointer[]} */
+  const pointers = [];
+  pointers.push(pointerOn("scene", picture.camera, "cursor"), pointerOn("scene-2", second.camera, "cursor-2"));
+  /** That of the view which was used last. */
+  let pointer = pointers[0];
   const shower = new SceneShower(picture);
   const tour = new TourPanel(find("panel-tour"), {
     show: (scene) => {
@@ -104,8 +117,16 @@ function run() {
   /** Colours of tissue that lies inside alone. @type {{value: number, colour: string}[]} */
   let tissueInside = [];
 
+  const scanControls = new ScanControls(picture, (request) => connection.ask(request), fault);
+  const surroundings = new Surroundings(picture.scene);
+  const surrounds = /** @type {HTMLInputElement} */ (find("surroundings"));
+  surrounds.addEventListener("change", () => {
+    surroundings.group.visible = surrounds.checked;
+    picture.redraw();
+  });
+
   function forget() {
-    pointer.forget();
+    for (const one of pointers) one.forget();
     picture.tools.showLine([]);
     picture.redraw();
   }
@@ -118,7 +139,7 @@ function run() {
   /** @param {string} key */
   function take(key) {
     tool = key;
-    pointer.forget();
+    for (const one of pointers) one.forget();
     document.body.dataset.tool = key;
     for (const button of find("tools").querySelectorAll("button")) {
       button.setAttribute("aria-pressed", String(button.dataset.key === key));
@@ -192,7 +213,8 @@ function run() {
     strain: () => /** @type {HTMLInputElement} */ (find("strain")).click(),
     showAll: () => panel.showAll(),
     reset: () => {
-      picture.camera.frame(...box);
+      if (pointer === pointers[1] && second.isShown) second.reset();
+      else picture.camera.frame(...box);
       picture.redraw();
     },
   };
@@ -224,7 +246,7 @@ function run() {
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented) return;
     const target = /** @type {Element} */ (event.target);
-    const isInScene = target.closest("#scene") !== null;
+    const isInScene = target.closest(".scene-tile .surface") !== null;
     if (isInScene && !event.ctrlKey && !event.metaKey && !event.altKey && pointer.key(event)) {
       event.preventDefault();
       return;
@@ -254,7 +276,7 @@ function run() {
     const found = /** @type {Record<string, () => void>} */ ({
       u: actions.undo, y: actions.redo, b: actions.back, l: actions.play, t: actions.tie, w: actions.record, v: actions.strain,
       x: () => actions.letGo(true), a: actions.showAll, home: actions.reset, escape: actions.putDown, " ": actions.pause,
-      k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
+      i: () => second.toggle(), d: () => surrounds.click(), k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
     return found[key] ?? tour.action(key);
@@ -298,6 +320,11 @@ function run() {
     take(tool);
     ask({ do: "hide", structures: [...panel.hidden] });
     planeControls.setCase(message.heart_axes, box);
+    second.setCase(message.heart_axes.planes, box);
+    surroundings.setCase(box, message.cannulae);
+    scanControls.setCase(message.scan, box);
+    find("recipe").hidden = message.recipe === null;
+    if (message.recipe !== null) /** @type {HTMLAnchorElement} */ (find("recipe")).href = message.recipe;
     if (strain.checked) ask({ do: "strain", shown: true });
     connection.ask({ do: "tours" }).then((answer) => {
       tour.setTours(answer.tours, answer.tour_problems);
@@ -323,6 +350,10 @@ function run() {
     const arrays = arraysOf(message);
     if (header.kind === "normal_map") {
       picture.heart.takeNormalMap(arrays.png).then(() => picture.redraw(), fault);
+      return;
+    }
+    if (header.kind === "slice") {
+      scanControls.take(header, arrays);
       return;
     }
     const isHeartNew = picture.heart.takeFrame(message, arrays);

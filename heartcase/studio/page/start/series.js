@@ -39,7 +39,14 @@ export class Series {
         ...(find("echo-part").hidden ? {} : { echo_time_ms: Number(field("echo").value) }),
         folder: field("recipe-folder").value,
         file: field("recipe-file").value.trim(),
+        name: field("case-named").value.trim(),
       });
+    });
+    // the file is called like the case, until it is told otherwise
+    let isOwn = true;
+    field("recipe-file").addEventListener("input", () => (isOwn = false));
+    field("case-named").addEventListener("input", () => {
+      if (isOwn) field("recipe-file").value = `${field("case-named").value.trim().replace(/[^A-Za-z0-9_-]+/g, "_") || "heart"}.toml`;
     });
     language.listen(() => this.#draw());
   }
