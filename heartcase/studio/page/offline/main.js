@@ -428,6 +428,7 @@ async function run() {
     leave: () => {
       if (played?.told) leaveRecording();
     },
+    looked: () => tellSeen(),
   });
   find("tab-tour").hidden = data.tours.length === 0;
   picture.camera.frame(...box);

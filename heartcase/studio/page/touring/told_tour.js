@@ -9,7 +9,8 @@ import { TourPanel } from "./tour_panel.js";
  * @param {HTMLElement} root
  * @param {readonly ToldTour[]} tours
  * @param {{picture: import("../operating/picture.js").Picture, hide: (numbers: number[]) => void,
- *   play: (told: ToldTour, from: number, until: number) => void, leave: () => void}} does `play` shows moments of what a tour does, `leave` none
+ *   play: (told: ToldTour, from: number, until: number) => void, leave: () => void,
+ *   looked: () => void}} does `play` shows moments of what a tour does, `leave` none; `looked` is told when the eye is where it shall be
  */
 export function showTours(root, tours, does) {
   const shower = new SceneShower(does.picture);
@@ -17,7 +18,7 @@ export function showTours(root, tours, does) {
     show: (scene) => {
       does.hide(scene.hidden);
       shower.setPlane(scene.plane);
-      if (scene.view !== null) shower.goTo(scene.view);
+      if (scene.view !== null) shower.goTo(scene.view, does.looked);
     },
     enter: (number, step) => {
       const tour = tours[number];
