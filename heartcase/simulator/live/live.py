@@ -32,7 +32,7 @@ from heartcase.schemas.recording.commands import (
     WithdrawProbe,
 )
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.live.cuts_done import CutsDone, Moment
+from heartcase.simulator.live.cuts_done import CutsDone, Kept, Moment
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
 from heartcase.simulator.live.instrument_places import held_by, places_mm, probe_axes_mm
 from heartcase.simulator.live.tool import Held
@@ -147,6 +147,7 @@ class Live:
         self._past: deque[tuple[float, int]] = deque()
         self._act_count = self._counted = 0
         self._cuts_done = CutsDone()
+        self._kept = Kept()
         self.newest = self._published(session.frame(surface=self._shows_surface))
 
     def start(self) -> None:
@@ -211,6 +212,15 @@ class Live:
         """Record into a folder, from the session's start on, until :meth:`stop_recording` or :meth:`close`."""
         self._ask([lambda: self._begin_to_record(path)])
 
+    def make_cuts(self) -> None:
+        """Make the cuts that were begun, also while time stands."""
+        self._ask([lambda: self.session.make_cuts(wait=True)])
+
+    def settle(self, seconds: float) -> None:
+        """Wait until all is done that was asked for by now, but no longer than so, s."""
+        self._ask([(done := threading.Event()).set])
+        done.wait(seconds)
+
     def stop_recording(self) -> None:
         """Finish the recording."""
         self._ask([self._finish_recording])
@@ -229,6 +239,11 @@ class Live:
     def is_leaving(self) -> bool:
         """Whether something lets go softly and is not done with it."""
         return bool(self._leaving) or bool(self._asked)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether nothing would be lost: all acts are in a recording that is finished, or there are none."""
+        return self._kept.is_all_of(self.session)
 
     def take_messages(self) -> list[str]:
         """What there is to be read since the last time."""
@@ -395,6 +410,7 @@ class Live:
         if recorder is not None:
             recorder.finish()
             if recorder.error is None:
+                self._kept.note(self.session)
                 self._messages.append(f"recorded in {recorder.path.name}")
 
     def _drop_recorder(self, error: RecordingError) -> None:

@@ -16,6 +16,7 @@ __all__ = [
     "Along",
     "Begin",
     "Coarser",
+    "Compare",
     "CutOpen",
     "Figures",
     "Hide",
@@ -27,6 +28,7 @@ __all__ = [
     "Play",
     "Point",
     "Recordings",
+    "Rename",
     "Replay",
     "Request",
     "Resize",
@@ -45,6 +47,9 @@ _FAR_MM = 1e6
 """No eye is further away, and no number that says where it looks is larger."""
 _PERPENDICULAR_MAX = 1e-3
 """How far rows of the eye's axes may be from perpendicular and of unit length."""
+
+
+_RecordingName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class _Asked(Model):
@@ -300,6 +305,26 @@ class HoldOpen(_Asked):
     """Which of the cuts, from 0."""
 
 
+class Compare(_Asked):
+    """Work out the figures of recordings, side by side."""
+
+    do: Literal["compare"]
+    """Which request."""
+    names: Annotated[tuple[_RecordingName, ...], Field(min_length=1, max_length=6)]
+    """Names that were given for them."""
+
+
+class Rename(_Asked):
+    """Give a recording another name."""
+
+    do: Literal["rename"]
+    """Which request."""
+    name: _RecordingName
+    """One of the names that were given."""
+    to: Annotated[str, Field(pattern=r"^\w[\w ()+,-]{0,79}$")]
+    """Its new name, without an ending."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -332,6 +357,8 @@ Request = (
     | Figures
     | Planned
     | HoldOpen
+    | Compare
+    | Rename
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

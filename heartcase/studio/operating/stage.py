@@ -38,6 +38,8 @@ DAMPING_PER_S = 30.0
 _SLOWEST_FRAME_S = 1.0 / 30.0
 """How long a frame takes at most where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
+_KEEP_S = 60.0
+"""Longest time that is waited for a recording to be written, s."""
 
 
 class Stage:
@@ -119,9 +121,7 @@ class Stage:
         HeartcaseError
             There is no such recording, or it is not of this case; the session goes on.
         """
-        if name not in self._found():
-            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
-        recording = open_recording(self._out / name)
+        recording = open_recording(self._out / self.known(name))
         case = self._case
         session = load_session(recording, case.model, surface=case.surface, tissue=case.tissue)
         self.live.close()
@@ -130,6 +130,38 @@ class Stage:
     def recordings(self) -> list[str]:
         """Names of the recordings that are there, the newest first."""
         return sorted(self._found(), key=lambda name: (self._out / name).stat().st_mtime, reverse=True)
+
+    def known(self, name: str) -> str:
+        """The name of a recording that is there.
+
+        Raises
+        ------
+        RecordingError
+            There is none of this name.
+        """
+        if name not in self._found():
+            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
+        return name
+
+    def rename(self, name: str, to: str) -> None:
+        """Give a recording another name, without its ending.
+
+        Raises
+        ------
+        RecordingError
+            There is no such recording, it is being written, or the name is taken.
+        """
+        path, new = self._out / self.known(name), self._out / f"{to.strip()}.recording"
+        if self.live.newest.recording == name:
+            raise RecordingError("it is being recorded: end the recording first", place="recording")
+        if new.exists():
+            raise RecordingError("there is already a recording of this name: choose another", place="recording")
+        try:
+            path.rename(new)
+        except OSError as error:
+            raise RecordingError(
+                f"it cannot be renamed: {error.strerror or 'no reason given'}", place="recording"
+            ) from None
 
     def record(self) -> None:
         """Record what is done, from the session's start on, under the next free name."""
@@ -140,6 +172,36 @@ class Stage:
             if path.name not in there and not path.exists():
                 self.live.record(path)
                 return
+
+    def keep(self) -> str | None:
+        """Write what was done into a recording where no recording has it yet, and wait for it.
+
+        Nothing else may be asked meanwhile.
+
+        Returns
+        -------
+        str or None
+            The recording's name; None where there was nothing to be kept.
+
+        Raises
+        ------
+        RecordingError
+            It cannot be kept.
+        """
+        live = self.live
+        if live.newest.frame.coming_cuts:
+            live.make_cuts()
+            live.settle(_KEEP_S)
+        if live.is_kept:
+            return None
+        before = set(self._found())
+        self.record()
+        live.stop_recording()
+        live.settle(_KEEP_S)
+        made = sorted(set(self._found()) - before)
+        if not live.is_kept or not made:
+            raise RecordingError("what was done cannot be written", place="recording")
+        return made[0]
 
     def spare_a_processor(self) -> None:
         """Leave a processor to a browser of this machine that draws without a graphics card."""

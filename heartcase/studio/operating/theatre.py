@@ -10,16 +10,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from heartcase.schemas.errors import RecordingError, UsageError
+from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
+from heartcase.studio.idle import FREE_AFTER_S, Idle
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.operating.packing import packed
+from heartcase.studio.operating.plans import ComparedPlans
 from heartcase.studio.operating.requests import (
     Act,
     Along,
     Begin,
     Coarser,
+    Compare,
     CutOpen,
     Figures,
     Hide,
@@ -29,6 +32,7 @@ from heartcase.studio.operating.requests import (
     Play,
     Point,
     Recordings,
+    Rename,
     Replay,
     Request,
     Resize,
@@ -58,6 +62,8 @@ _LOOK_S = 0.05
 _LOOK_EVERY_S = 1.0
 """How often it is looked whether the case was built anew."""
 _OLDER = "the case was built anew, and what is shown is the one before: begin anew to see the new one"
+_FREED = "no page had this case open for {minutes:.0f} minutes, and it was closed: this is its beginning"
+_KEPT = _FREED + "; what was done is kept in the recording {name}: replay it to go on"
 _BUILT_ANEW = "the case was built anew: this is the new one, and the session on the one before has ended"
 
 
@@ -106,6 +112,10 @@ class Theatre:
         self._watching: asyncio.Task[None] | None = None
         self._resting: asyncio.Task[None] | None = None
         self._rests = False
+        self._idle = Idle(self._free)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._plans = ComparedPlans(case, out, self._hear_of_plans)
+        self._freed: str | None = None
 
     def _tour_folders(self) -> tuple[Path, ...]:
         return (self._case.parent, *(() if self.origin is None else (self.origin.recipe.parent,)))
@@ -130,6 +140,7 @@ class Theatre:
                     self._rest_if_alone(stage)
                     return
                 self._greet(page, stage)
+                self._idle.end()
             except Exception as error:
                 page.send(text_message("failed", problems=self._problems(error)))
                 return
@@ -141,6 +152,9 @@ class Theatre:
             if self._rests:
                 self._rests = False
                 stage.live.pause(False)
+            if self._freed is not None:
+                self._tell(text_message("message", text=self._freed))
+                self._freed = None
             self._news.set()
 
     async def _newest_stage(self) -> tuple[Stage, bool]:
@@ -258,6 +272,7 @@ class Theatre:
     async def close(self) -> None:
         """End the session: what was begun is made, and what is recorded is finished."""
         self._waiting.clear()
+        self._idle.close()
         for page in tuple(self._viewers):
             await self.leave(page)
             page.close()
@@ -269,11 +284,12 @@ class Theatre:
             stage, self._stage = self._stage, None
             if stage is not None:
                 await self._run(stage.close)
+        await self._run(self._plans.close)
         self._thread.shutdown()
         self._slicing.shutdown(wait=False, cancel_futures=True)
 
     def _open(self) -> Callable[[], Stage]:
-        loop = asyncio.get_running_loop()
+        loop = self._loop = asyncio.get_running_loop()
 
         def heard() -> None:
             # The session's thread may end after the loop did.
@@ -328,9 +344,11 @@ class Theatre:
             case Replay() | Begin():
                 self._tours.stop()
                 name = request.name if isinstance(request, Replay) else None
-                if name is None and (await self._newest_stage())[1]:
+                newest, is_another = await self._newest_stage()
+                if name is None and is_another:
                     return {}
-                await self._run(lambda: stage.begin() if name is None else stage.replay(name))
+                live = newest.live
+                await self._run(lambda: newest.begin() if name is None else newest.replay(name))
                 self._show_begun(live)
             case Hide():
                 viewer.hidden = frozenset(request.structures)
@@ -356,6 +374,14 @@ class Theatre:
                 await self._run(lambda: stage.cut_planned(request.incision))
             case HoldOpen():
                 await self._run(lambda: stage.hold_open(request.incision))
+            case Compare():
+                names = await self._run(lambda: [stage.known(name) for name in request.names])
+                # it takes seconds for each of them: the processors are for that
+                live.pause(True)
+                await self._run(lambda: self._plans.compare(names))
+            case Rename():
+                await self._run(lambda: stage.rename(request.name, request.to))
+                return {"recordings": await self._run(stage.recordings)}
         return {}
 
     async def _begin(self, stage: Stage) -> None:
@@ -419,10 +445,12 @@ class Theatre:
 
     async def _watch(self) -> None:
         """Tell pages once that the case they look at is no longer the one that lies there."""
-        told = None
+        told = stage = None
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             stage = self._stage
+            if stage is None:
+                told = None
             if stage is None or stage is told or not self._viewers:
                 continue
             if not await self._run(partial(stage.is_of, self._case)) and self._stage is stage:
@@ -446,6 +474,29 @@ class Theatre:
     def _rest_if_alone(self, stage: Stage) -> None:
         if not self._viewers and self._resting is None:
             self._resting = asyncio.create_task(self._rest(stage))
+            self._idle.begin()
+
+    async def _free(self) -> None:
+        """Nobody had it open for long: leave it, unless it is recorded, or what was done cannot be kept."""
+        async with self._turn:
+            stage = self._stage
+            if stage is None or self._viewers or self._waiting or stage.live.newest.recording is not None:
+                return
+            try:
+                name = await self._run(stage.keep)
+            except HeartcaseError:
+                return
+            if self._stage is not stage:
+                return
+            words = _FREED if name is None else _KEPT
+            shown = None if name is None else name.removesuffix(".recording")
+            self._freed = words.format(minutes=FREE_AFTER_S / 60.0, name=shown)
+            if self._work is not None:
+                self._work.cancel()
+            # an ended task would hold on to what it worked on
+            self._stage = self._work = self._resting = None
+            await self._run(self._plans.close)
+            await self._run(stage.close)
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""
@@ -469,6 +520,12 @@ class Theatre:
     def _tell(self, message: str) -> None:
         for page in self._viewers:
             page.send(message)
+
+    def _hear_of_plans(self) -> None:
+        """Called by any thread: what is compared is told to all pages."""
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(lambda: self._tell(self._plans.message()))
 
     def _problems(self, error: BaseException) -> list[dict[str, str]]:
         """What a page is told of an error; not where on this machine the case lies."""

@@ -84,8 +84,10 @@ class Registry:
         """
         key = self._key("operate", path)
         if key not in self._opened:
-            theatre = Theatre(path, out=path.parent if out is None else out)
-            self._opened[key] = Opened("operate", key, path, {"operating": theatre})
+            folder = path.parent if out is None else out
+            # a second session on it, for two recordings side by side: it is begun when a page asks for it
+            places = {"operating": Theatre(path, out=folder), "beside": Theatre(path, out=folder)}
+            self._opened[key] = Opened("operate", key, path, places)
         place = self._opened[key].places["operating"]
         if origin is not None and isinstance(place, Theatre):
             place.origin = origin

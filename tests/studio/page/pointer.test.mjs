@@ -25,7 +25,7 @@ function begun({ hasTool, answers = [] }) {
 }
 const later = () => new Promise((resolve) => setTimeout(resolve, 5));
 
-test("one finger turns, two zoom and move", () => {
+test("one finger turns, two turn and zoom, three move", () => {
   const { camera, asked, does } = begun({ hasTool: false });
   does("pointerdown", 1, 100, 100);
   does("pointermove", 1, 140, 100);
@@ -34,42 +34,52 @@ test("one finger turns, two zoom and move", () => {
   does("pointerdown", 2, 200, 100);
   does("pointermove", 2, 260, 100);
   assert.ok(Math.abs(camera.distance - before.distance / 2) < 1e-9);
+  assert.notDeepEqual(camera.towards, before.towards);
+  assert.deepEqual(camera.target, [0, 0, 0]);
+  const turned = [...camera.towards];
+  does("pointerdown", 3, 200, 200);
+  does("pointermove", 3, 230, 200);
   assert.ok(Math.hypot(...camera.target) > 0);
-  assert.deepEqual(camera.towards, before.towards);
+  assert.deepEqual(camera.towards, turned);
   // the finger that is left does nothing until it is lifted
+  does("pointerup", 3, 230, 200);
   does("pointerup", 1, 140, 100);
   does("pointermove", 2, 300, 180);
-  assert.deepEqual(camera.towards, before.towards);
+  assert.deepEqual(camera.towards, turned);
   does("pointerup", 2, 300, 180);
-  does("pointerdown", 3, 100, 100);
-  does("pointermove", 3, 140, 100);
-  assert.notDeepEqual(camera.towards, before.towards);
+  does("pointerdown", 4, 100, 100);
+  does("pointermove", 4, 140, 100);
+  assert.notDeepEqual(camera.towards, turned);
   assert.deepEqual(asked, []);
 });
 
-test("a finger uses what is in hand, and a second one lets it go", async () => {
+test("a finger that moves alone uses what is in hand, and others do nothing until it is lifted", async () => {
   const { asked, does, camera } = begun({ hasTool: true });
   does("pointerdown", 1, 100, 100);
-  await later();
   does("pointermove", 1, 120, 100);
   await later();
   assert.deepEqual(asked, ["press", "drag"]);
+  const { distance } = camera;
   does("pointerdown", 2, 200, 100);
+  does("pointermove", 2, 280, 100);
+  does("pointerup", 2, 280, 100);
+  await later();
+  assert.deepEqual(asked, ["press", "drag"]);
+  assert.equal(camera.distance, distance);
+  does("pointerup", 1, 120, 100);
   await later();
   assert.deepEqual(asked, ["press", "drag", "release"]);
-  const { distance } = camera;
-  does("pointermove", 2, 280, 100);
-  assert.ok(camera.distance < distance);
 });
 
-test("what was taken hold of is let go where the second finger came before the answer", async () => {
-  let answer = (/** @type {any} */ _) => {};
-  const { asked, does } = begun({ hasTool: true, answers: [new Promise((resolve) => (answer = resolve))] });
+test("two fingers that come down together use nothing", async () => {
+  const { asked, does, camera } = begun({ hasTool: true });
+  const { distance } = camera;
   does("pointerdown", 1, 100, 100);
   does("pointerdown", 2, 200, 100);
-  answer({ kind: "done", used: true });
+  does("pointermove", 2, 260, 100);
   await later();
-  assert.deepEqual(asked, ["press", "release"]);
+  assert.deepEqual(asked, []);
+  assert.ok(camera.distance < distance);
 });
 
 test("a hand that rests beside its pen does nothing", async () => {

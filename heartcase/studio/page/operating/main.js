@@ -1,5 +1,8 @@
 /** The page on which a case moves: puts its parts together, and hands them what the server sends. */
 
+import { Beside } from "../figures/beside.js";
+import { LiveFigures } from "../figures/live_figures.js";
+import { Plans } from "../figures/plans.js";
 import { runTabs } from "../panel/tiles.js";
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
@@ -8,7 +11,6 @@ import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
 import { SceneShower } from "../touring/scene.js";
 import { TourPanel } from "../touring/tour_panel.js";
-import { LiveFigures } from "./figures.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
@@ -56,22 +58,36 @@ function run() {
   /** @param {Record<string, unknown> & {do: string}} request */
   const ask = (request) => {
     if (!isReady) return;
+    beside.pass(request);
     connection.ask(request).then(answered, fault);
   };
+  const beside = new Beside(picture, {
+    askMain: (request) => connection.ask(request).then(answered, fault),
+    painted: () => [[...panel.structures, ...tissueInside], panel.hidden],
+    mainHeader: () => open.header,
+    failed: fault,
+  });
   const panel = new Panel({
     hiddenChanged: () => {
       paint();
       ask({ do: "hide", structures: [...panel.hidden] });
     },
-    replay: (name) => {
-      forget();
-      ask({ do: "replay", name });
+    replay,
+  });
+  const plans = new Plans({
+    ask,
+    replay,
+    sideBySide: ([one, other]) => {
+      replay(one);
+      beside.open(other, one);
     },
   });
   const figures = new LiveFigures(ask);
   const timeLine = new TimeLine((step) => {
     forget();
-    return connection.ask({ do: "command", command: { kind: "go_to", step } });
+    const request = { do: "command", command: { kind: "go_to", step } };
+    beside.pass(request);
+    return connection.ask(request);
   });
   picture.detail.wanted = () => ask({ do: "coarser" });
   const second = new SecondView(picture);
@@ -124,6 +140,11 @@ function run() {
     surroundings.group.visible = surrounds.checked;
     picture.redraw();
   });
+  /** @param {string} name */
+  function replay(name) {
+    forget();
+    ask({ do: "replay", name });
+  }
 
   function forget() {
     for (const one of pointers) one.forget();
@@ -134,6 +155,7 @@ function run() {
   function paint() {
     picture.heart.paint([...panel.structures, ...tissueInside], panel.hidden);
     picture.redraw();
+    beside.repaint();
   }
 
   /** @param {string} key */
@@ -185,7 +207,7 @@ function run() {
     }
     picture.tools.showLine(answer.line_mm);
     picture.redraw();
-    if (answer.recordings) panel.showRecordings(answer.recordings);
+    if (answer.recordings) plans.showRecordings(answer.recordings);
     if (answer.used === false && answer.id === lettingGo) notice("", [{ place: "", message: say("operate_nothing_held") }]);
   }
 
@@ -288,6 +310,7 @@ function run() {
     else if (message.kind === "opened") begin(message);
     else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
     else if (message.kind === "figures") figures.hear(message);
+    else if (message.kind === "plans") plans.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
@@ -364,6 +387,7 @@ function run() {
     open.header = header;
     panel.showForces(header);
     timeLine.show(header);
+    beside.keepTogether();
     showState(header, before);
     // The next one comes when this one is drawn: a page that is slow or hidden is sent the newest then.
     requestAnimationFrame(() => connection.tell({ do: "seen", frame: header.frame }));

@@ -80,6 +80,13 @@ export class Picture {
     return camera;
   }
 
+  /** No more is drawn: give the graphics card back what it holds. */
+  end() {
+    this.#resizing.disconnect();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
+  }
+
   /** Draw before the next picture of the screen. */
   redraw() {
     this.#isStale = true;
