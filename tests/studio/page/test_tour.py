@@ -83,11 +83,11 @@ def test_a_tour_by_keys_alone(chromium, toured):
         tab.locator("#scene").focus()
         tab.keyboard.press("u")
         until(lambda: len(header()["instruments"]) == 1 and header()["mode"] == "paused")
-        tab.keyboard.press("i")
+        tab.keyboard.press("h")
         until(lambda: len(header()["instruments"]) == 2 and header()["mode"] == "running", 60.0)
         until(lambda: tab.locator(".tour-state").get_attribute("data-state") == "ready", 60.0)
         # back: undone
-        tab.keyboard.press("d")
+        tab.keyboard.press("q")
         until(lambda: [one["name"] for one in header()["instruments"]] == ["probe"], 60.0)
         # the page's words in German, the tour's own as they are
         tab.locator("#tab-help").click()
@@ -125,7 +125,7 @@ def test_a_tour_in_a_page_without_a_server(chromium, tmp_path):
     until(lambda: nodes() > whole)
     opened = nodes()
     # back: the lid is whole again; and on, over what is between
-    tab.keyboard.press("d")
+    tab.keyboard.press("q")
     until(lambda: nodes() == whole)
     tab.keyboard.press("m")
     until(lambda: nodes() == opened)

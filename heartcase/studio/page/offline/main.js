@@ -41,7 +41,7 @@ const KEYS = [
   ["O", "operate_help_orbit"], ["G P", "operate_help_tools"], ["[  ]", "operate_help_size"], ["Enter", "operate_help_enter"],
   ["↑ ↓ ← →", "operate_help_arrows"], ["Shift + ↑ ↓ ← →", "operate_help_move"], ["+  -", "operate_help_zoom"],
   ["Page ↑ ↓", "operate_help_deeper"], ["K  <  >", "scene_help_plane"], ["Esc", "operate_help_escape"], ["A  Home", "operate_help_view"],
-  ["D  M  I", "tour_help"],
+  ["Q  M  H", "tour_help"],
 ];
 
 /** @param {string} id */
