@@ -6,6 +6,7 @@ Fenced blocks that are run::
     ```console             "$ heartcase ..." is run, what follows must be its output; "..." stands for anything
     ```console fails       the same, of a command that must end with 1 or 2
     ```toml file=NAME      written to NAME
+    ```markdown file=NAME  written to NAME; with more backticks where it holds blocks of its own
     ```toml recipe         a part of a recipe: must fit in one
 
 All others (text, bash, json, a plain fence) are only read.
@@ -25,7 +26,7 @@ from heartcase.schemas.recipe.recipe import Recipe
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-_FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.M | re.S)
+_FENCE = re.compile(r"^(```+)([^\n`]*)\n(.*?)^\1$", re.M | re.S)
 _SMALLEST: dict[str, Any] = {
     "heartcase_recipe": 1,
     "name": "fragment",
@@ -47,14 +48,16 @@ def examples_of(page: Path) -> list[Example]:
     """All fenced blocks of a page, in order."""
     text = page.read_text(encoding="utf-8")
     return [
-        Example(match.group(1).strip(), match.group(2), text[: match.start()].count("\n") + 1)
+        Example(match.group(2).strip(), match.group(3), text[: match.start()].count("\n") + 1)
         for match in _FENCE.finditer(text)
     ]
 
 
 def is_run(example: Example) -> bool:
     """Whether the block is one that is run."""
-    return example.kind.split(" ")[0] in ("python", "console") or example.kind.startswith(("toml file=", "toml recipe"))
+    return example.kind.split(" ")[0] in ("python", "console") or example.kind.startswith(
+        ("toml file=", "markdown file=", "toml recipe")
+    )
 
 
 def run_page(page: Path, run: Callable[[list[str]], tuple[int, str]]) -> None:
@@ -69,7 +72,7 @@ def run_page(page: Path, run: Callable[[list[str]], tuple[int, str]]) -> None:
                 code, said = run(command)
                 assert (code in (1, 2)) if example.kind == "console fails" else (code == 0), f"{where}: {code}\n{said}"
                 assert _fits(expected, said), f"{where}: {command} said\n{said}\nand not\n{expected}"
-        elif example.kind.startswith("toml file="):
+        elif example.kind.startswith(("toml file=", "markdown file=")):
             Path(example.kind.partition("=")[2]).write_text(example.content, encoding="utf-8")
         elif example.kind == "toml recipe":
             Recipe.model_validate(_SMALLEST | tomllib.loads(example.content))

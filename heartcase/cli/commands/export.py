@@ -199,14 +199,15 @@ def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
     return _Made(surface_bytes(mesh, suffix), f"the surface of {_called(model)}", warnings=mesh.warnings)
 
 
-def _page(export: _Export, recordings: Sequence[Path], rate: float | None) -> _Made:
+def _page(export: _Export, recordings: Sequence[Path], rate: float | None, *, tours: bool) -> _Made:
     """The case for a browser."""
     from heartcase.cli.shared.web_pages import page_of
 
     rate = FRAMES_PER_SECOND if rate is None else rate
-    content = page_of(export.case, recordings, level=export.level, frames_per_second=rate)
+    content, warnings = page_of(export.case, recordings, level=export.level, frames_per_second=rate, tours=tours)
     words = {0: "", 1: " with its recording"}.get(len(recordings), f" with {len(recordings)} recordings")
-    return _Made(content, f"the case as a page{words}", {"frames_per_second": rate} if recordings else {})
+    facts: dict[str, object] = {"frames_per_second": rate} if recordings else {}
+    return _Made(content, f"the case as a page{words}", facts, tuple(warnings))
 
 
 def _write_site(
@@ -405,6 +406,9 @@ def _site_problems(cases: Sequence[Path], output: Path, is_web: bool) -> list[Pr
     help=f"With --recording and .glb: how far a vertex may be off in a frame, mm; {ERROR_MM:g} when left out. "
     "The less, the larger the file.",
 )
+@click.option(
+    "--no-tours", is_flag=True, help="Of .html: leave out the case's guided tours, which take time to be done."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the file.")
 @working("exporting")
 def command(
@@ -419,6 +423,7 @@ def command(
     recordings: tuple[Path, ...],
     frames_per_second: float | None,
     error_mm: float | None,
+    no_tours: bool,
     as_json: bool,
 ) -> None:
     """Write the labels of CASE, a model to print, a mesh, or a recording in motion, for another program.
@@ -448,7 +453,7 @@ def command(
     if level:
         export.bundle.surface_role(level, place="--level")
     if suffix == PAGE:
-        made = _page(export, recordings, frames_per_second)
+        made = _page(export, recordings, frames_per_second, tours=not no_tours)
     elif recordings:
         made = _recorded(case, recordings[0], suffix, export.level, frames_per_second, error_mm)
     elif suffix in WRITERS:

@@ -19,12 +19,15 @@ from heartcase.simulator.session.stored import lattice_sha256
 if TYPE_CHECKING:
     from heartcase.studio.offline.site import SiteResult
     from heartcase.studio.offline.web_page import Recorded
+    from heartcase.studio.touring.found_tours import ShownTour
 
 __all__ = ["page_of", "site_of"]
 
 
-def page_of(case: Path, recordings: Sequence[Path], *, level: int, frames_per_second: float) -> bytes:
-    """The file of a case with its recordings.
+def page_of(
+    case: Path, recordings: Sequence[Path], *, level: int, frames_per_second: float, tours: bool = True
+) -> tuple[bytes, list[str]]:
+    """The file of a case with its recordings and its guided tours; why a tour could not be done to its end.
 
     Raises
     ------
@@ -34,12 +37,16 @@ def page_of(case: Path, recordings: Sequence[Path], *, level: int, frames_per_se
     """
     from heartcase.schemas.bundle.reader import open_bundle
     from heartcase.studio.offline.shown import shown_of
+    from heartcase.studio.offline.toured import Toured
     from heartcase.studio.offline.web_page import web_page
 
     opened = _opened(recordings, frames_per_second)
-    loaded = load_case(case, needs=("surface", "cell_labels", *(("tissue",) if opened else ())), level=level)
+    loaded = load_case(case, needs=("surface", "structures", "cell_labels", "tissue"), level=level)
     played = [_recorded(name, one, loaded, frames_per_second) for name, one in opened]
-    return web_page(loaded, shown_of(open_bundle(case), level), played, frames_per_second=frames_per_second)
+    toured = [Toured(one, loaded) for one in _tours(loaded, case)] if tours else []
+    shown = shown_of(open_bundle(case), level)
+    made = web_page(loaded, shown, played, tours=toured, frames_per_second=frames_per_second)
+    return made, [str(problem) for one in toured for problem in one.problems]
 
 
 def site_of(
@@ -76,6 +83,15 @@ def site_of(
 
     chosen = [SiteCase(case, of) for case in cases]
     return write_site(chosen, out, level=level, frames_per_second=frames_per_second, say=say)
+
+
+def _tours(loaded: Case, path: Path) -> tuple[ShownTour, ...]:
+    """The case's tours: those beside it, and those that come with heartcase."""
+    from heartcase.simulator.touring.case_places import CasePlaces
+    from heartcase.studio.sample_folder import sample_folder
+    from heartcase.studio.touring.found_tours import find_tours
+
+    return find_tours(CasePlaces(loaded), [path.parent], sample_folder()).shown
 
 
 def _opened(recordings: Sequence[Path], frames_per_second: float) -> list[tuple[str, Recording]]:

@@ -32,8 +32,7 @@ from heartcase.schemas.recording.commands import (
 )
 from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.live.cuts_done import CutsDone, Kept, Moment
-from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
-from heartcase.simulator.live.instrument_places import held_by, places_mm, probe_axes_mm
+from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals, held_by, places_mm, probe_axes_mm
 from heartcase.simulator.live.tool import Held
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.commands import LeadGrab, MoveProbe
 from heartcase.schemas.touring.tour import Wait
-from heartcase.simulator.live.goals import Goals
-from heartcase.simulator.live.instrument_places import places_mm
+from heartcase.simulator.live.goals import Goals, places_mm
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.touring.staging import Timed

@@ -30,6 +30,7 @@ from heartcase.simulator.simulation import Simulation
 from heartcase.studio.offline.bundling import bundled_script
 from heartcase.studio.offline.shown import Shown
 from heartcase.studio.offline.spring_arrays import spring_arrays
+from heartcase.studio.offline.toured import Toured
 from heartcase.studio.operating.cell_labels import CellLabels
 from heartcase.studio.operating.packing import SCALE_LEAST, Rounded, frame_message, packed, topology_message
 from heartcase.studio.operating.viewer import described, patch_arrays
@@ -55,7 +56,7 @@ LINKED_POLICY = (
 )
 """What a page of a site may load: files beside it. A page of a folder has no origin, so that 'self' is not enough."""
 PAGE = Path(__file__).parents[1] / "page"
-_STYLES = ("style.css", "operating/operate.css", "section/section.css", "offline/offline.css")
+_STYLES = ("style.css", "operating/operate.css", "section/section.css", "offline/offline.css", "touring/touring.css")
 _DAMPING_PER_S = 30.0
 """Damping of all movement that the page steps, 1/s; as where the studio's server does."""
 
@@ -71,7 +72,12 @@ class Recorded:
 
 
 def web_page(
-    case: Case, shown: Shown, recordings: Sequence[Recorded] = (), *, frames_per_second: float = FRAMES_PER_SECOND
+    case: Case,
+    shown: Shown,
+    recordings: Sequence[Recorded] = (),
+    *,
+    tours: Sequence[Toured] = (),
+    frames_per_second: float = FRAMES_PER_SECOND,
 ) -> bytes:
     """The file of a case.
 
@@ -83,10 +89,12 @@ def web_page(
         What else is shown of it, at the same level of detail.
     recordings
         Recordings of it.
+    tours
+        Guided tours of it.
     frames_per_second
         How many moments of a recording make a second of its simulated time.
     """
-    data = _case_data(case, shown, recordings, frames_per_second)
+    data = _case_data(case, shown, recordings, frames_per_second, tours)
     style, script = viewer_style(), viewer_script()
     policy = "; ".join(
         [
@@ -153,7 +161,13 @@ def viewer_style() -> str:
     return "\n".join((PAGE / name).read_text(encoding="utf-8") for name in _STYLES)
 
 
-def _case_data(case: Case, shown: Shown, recordings: Sequence[Recorded], frames_per_second: float) -> str:
+def _case_data(
+    case: Case,
+    shown: Shown,
+    recordings: Sequence[Recorded],
+    frames_per_second: float,
+    tours: Sequence[Toured] = (),
+) -> str:
     """What the page takes of a case, compressed, as text."""
     structures = Structures(case.manifest, shown.of_triangles)
     labels = None if case.cell_labels is None else CellLabels(case)
@@ -169,11 +183,16 @@ def _case_data(case: Case, shown: Shown, recordings: Sequence[Recorded], frames_
         }
         for recording in recordings
     ]
+    toured = [
+        {"parts": [parts.number(part) for part in _messages(one.moments(), structures, labels)]} | one.as_data()
+        for one in tours
+    ]
     contents = {
         "facts": _facts(case, shown, structures, frames_per_second),
         "lengths": [len(part) for part in parts.all],
         "case": first,
         "recordings": table,
+        "tours": toured,
     }
     head = json.dumps(contents, allow_nan=False).encode()
     data = b"".join([len(head).to_bytes(4, "little"), head, *parts.all])

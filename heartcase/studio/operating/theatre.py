@@ -200,6 +200,7 @@ class Theatre:
         if viewer is None:
             return
         viewer.hands.abandon()
+        self._tours.forget(page)
         async with self._turn:
             if self._stage is None:
                 return

@@ -45,6 +45,7 @@ class TourLeading:
         self._found: FoundTours | None = None
         self._guide: Guide | None = None
         self._task: asyncio.Task[None] | None = None
+        self._led: Page | None = None
 
     def listed(self, stage: Stage) -> dict[str, Any]:
         """The tours of a stage's case, read anew; what is wrong with others."""
@@ -90,7 +91,13 @@ class TourLeading:
             except Exception as error:
                 tell("failed", problems=self._problems_of(error))
 
-        self._task = asyncio.create_task(lead())
+        self._task, self._led = asyncio.create_task(lead()), page
+
+    def forget(self, page: Page) -> None:
+        """A page is gone: nobody looks at what it asked for."""
+        if page is self._led:
+            self.stop()
+            self._led = None
 
     def stop(self) -> None:
         """Leave what is under way."""

@@ -24,6 +24,49 @@ GARBAGE = (
 )
 
 
+TOUR = """\
++++
+heartcase_tour = 1
+case = "block"
++++
+# A block
+
+## Look
+
+At it.
+
+## Pull
+
+```toml
+[[do]]
+kind = "close_grab"
+name = "its hand"
+center_mm = [22.0, -14.0, 40.5]
+
+[[do]]
+kind = "lead_grab"
+name = "its hand"
+offset_mm = { towards = "above", by_mm = 2 }
+
+[[do]]
+kind = "wait"
+seconds = 0.02
+```
+
+It follows.
+
+## Let go
+
+```toml
+[[do]]
+kind = "open_grab"
+name = "its hand"
+```
+
+And goes back.
+"""
+
+
 def anything(random):
     """A request, mostly a sensible one."""
     x, y = random.uniform(5.0, 36.0), random.uniform(-25.0, -3.0)
@@ -46,6 +89,7 @@ def anything(random):
             "hide",
             "cut_open",
             "slice",
+            "tour",
         ]
     )
     match what:
@@ -70,6 +114,10 @@ def anything(random):
         case "cut_open":
             plane = {"normal": random.normal(size=3).tolist(), "point_mm": [x, y, far * 36.0]}
             return {"do": "cut_open", "plane": plane if random.random() < 0.8 else None}
+        case "tour":
+            step = None if random.random() < 0.2 else int(random.integers(0, 4))
+            asked = {"do": "tour", "tour": int(random.integers(0, 2)), "step": step}
+            return asked if random.random() < 0.7 else {"do": "tours"}
         case "slice":
             name = str(random.choice(["cut", "axial"]))
             return {"do": "slice", "name": name, "point_mm": [x, y, far], "right": [1, 0, 0], "down": [0, 0.6, -0.8]}
@@ -79,6 +127,7 @@ def anything(random):
 
 def play_through(browser, opened, seeds, length):
     theatre = opened.places["operating"]
+    (theatre._case.parent / "block.tour.md").write_text(TOUR)
     for seed in seeds:
         random = np.random.default_rng(seed)
         with operator(browser, opened) as page:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from heartcase.cli.main import main
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from tests.hollow_case import hollow_case
 from tests.simulator.touring.hollow_tour import TOUR
@@ -82,11 +83,11 @@ def test_a_tour_by_keys_alone(chromium, toured):
         tab.locator("#scene").focus()
         tab.keyboard.press("u")
         until(lambda: len(header()["instruments"]) == 1 and header()["mode"] == "paused")
-        tab.keyboard.press("i")
+        tab.keyboard.press("h")
         until(lambda: len(header()["instruments"]) == 2 and header()["mode"] == "running", 60.0)
         until(lambda: tab.locator(".tour-state").get_attribute("data-state") == "ready", 60.0)
         # back: undone
-        tab.keyboard.press("d")
+        tab.keyboard.press("q")
         until(lambda: [one["name"] for one in header()["instruments"]] == ["probe"], 60.0)
         # the page's words in German, the tour's own as they are
         tab.locator("#tab-help").click()
@@ -97,3 +98,42 @@ def test_a_tour_by_keys_alone(chromium, toured):
         tab.locator("#panel-tour").get_by_role("button", name="Beenden").click()
         assert "0 von 1" in page.text("#panel-tour")
         assert page.text("#panel-tour h2") == "Two rooms"
+
+
+def test_a_tour_in_a_page_without_a_server(chromium, tmp_path):
+    write_bundle(tmp_path / "hollow.case", hollow_case())
+    (tmp_path / "hollow.tour.md").write_text(TOUR)
+    page = tmp_path / "hollow.html"
+    assert main(["export", str(tmp_path / "hollow.case"), "-o", str(page)]) == 0
+    context = chromium.new_context(viewport={"width": 1366, "height": 768}, reduced_motion="reduce", locale="en-GB")
+    tab = context.new_page()
+    faults = []
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    tab.goto(page.as_uri())
+    tab.locator("body[data-ready=true]").wait_for(timeout=60_000)
+    nodes = lambda: tab.evaluate("heartcase.picture.heart.nodes.count")  # noqa: E731
+    tab.locator("#tab-tour").click()
+    tab.get_by_role("button", name="Begin: 6 steps").click()
+    whole = nodes()
+    tab.keyboard.press("m")
+    assert tab.locator("#panel-tour h2").inner_text() == "The hole"
+    np.testing.assert_allclose(tab.evaluate("heartcase.picture.camera.towards"), [0, 0, 1], atol=1e-6)
+    assert tab.evaluate("heartcase.picture.plane.isOn")
+    assert_accessible(tab)
+    tab.keyboard.press("m")
+    tab.keyboard.press("m")
+    until(lambda: nodes() > whole)
+    opened = nodes()
+    # back: the lid is whole again; and on, over what is between
+    tab.keyboard.press("q")
+    until(lambda: nodes() == whole)
+    tab.keyboard.press("m")
+    until(lambda: nodes() == opened)
+    tab.get_by_role("button", name="End", exact=True).click()
+    until(lambda: nodes() == whole)
+    assert not tab.evaluate("heartcase.picture.plane.isOn")
+    assert faults == []
+    context.close()
+    bare = tmp_path / "bare.html"
+    assert main(["export", str(tmp_path / "hollow.case"), "-o", str(bare), "--no-tours"]) == 0
+    assert bare.stat().st_size < page.stat().st_size

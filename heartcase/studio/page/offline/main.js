@@ -11,6 +11,7 @@ import { runLanguage, runTheme, runWords } from "../shared/looks.js";
 import { figure, language, say } from "../shared/words.js";
 import { NoWebGpu, SpringEngine } from "../springs/engine.js";
 import { Lattice } from "../springs/lattice.js";
+import { showTours } from "../touring/told_tour.js";
 import { caseText, NoCase, readCase } from "./case_data.js";
 import { Colouring, Lit } from "./colouring.js";
 import { Frame, LocalHands } from "./hands.js";
@@ -40,6 +41,7 @@ const KEYS = [
   ["O", "operate_help_orbit"], ["G P", "offline_help_tools"], ["[  ]", "operate_help_size"], ["Enter", "operate_help_enter"],
   ["↑ ↓ ← →", "operate_help_arrows"], ["Shift + ↑ ↓ ← →", "operate_help_move"], ["+  -", "operate_help_zoom"],
   ["Page ↑ ↓", "operate_help_deeper"], ["K  <  >", "scene_help_plane"], ["Esc", "operate_help_escape"], ["A  Home", "offline_help_view"],
+  ["Q  M  H", "tour_help"],
 ];
 
 /** @param {string} id */
@@ -65,7 +67,7 @@ async function run() {
   let hands = null;
   /** @type {SpringEngine | null} */
   let engine = null;
-  /** @type {{moments: Package[][], at: number, isRunning: boolean, since: number} | null} */
+  /** @type {{told?: object, moments: Package[][], at: number, isRunning: boolean, since: number, until?: number} | null} */
   let played = null;
   let stillPictures = 0;
   let isStepping = false;
@@ -220,6 +222,19 @@ async function run() {
     void playOn();
   }
 
+  /** Play some moments of what a tour does, after which time stands. @param {{parts: number[]}} told @param {number} from @param {number} until */
+  function playPart(told, from, until) {
+    leaveTools();
+    if (played?.told !== told) {
+      showStart();
+      played = { told, moments: momentsOf(told), at: -1, isRunning: false, since: 0, until };
+      find("time-bar").hidden = true;
+    }
+    Object.assign(played, { until, isRunning: true, since: performance.now() - (1000 * from) / facts.frames_per_second });
+    showMoment(from);
+    void playOn();
+  }
+
   function leaveTools() {
     pointer.forget();
     hands?.letGo();
@@ -251,7 +266,7 @@ async function run() {
     changed();
   }
 
-  /** Parts of each moment of a recording. @param {Recording} recording @returns {Package[][]} */
+  /** Parts of each moment of a recording. @param {{parts: number[]}} recording @returns {Package[][]} */
   function momentsOf(recording) {
     /** @type {Package[][]} */
     const moments = [[]];
@@ -268,9 +283,10 @@ async function run() {
       await new Promise((resolve) => requestAnimationFrame(resolve));
       if (!played?.isRunning) break;
       const due = Math.floor(((performance.now() - played.since) / 1000) * facts.frames_per_second);
-      const at = Math.min(due, played.moments.length - 1);
+      const last = played.until ?? played.moments.length - 1;
+      const at = Math.min(due, last);
       if (at > played.at) showMoment(at);
-      if (at === played.moments.length - 1) played.isRunning = false;
+      if (at >= last) played.isRunning = false;
     }
     tellPlaying();
   }
@@ -335,7 +351,7 @@ async function run() {
       o: () => take(""), g: () => take("g"), p: () => take("p"), a: () => panel.showAll(), home: reset, escape: leaveTools,
       k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => resize(-1), "]": () => resize(1), ",": () => resize(-1), ".": () => resize(1),
-    })[key];
+    })[key] ?? tour.action(key);
     if (isInScene && pointer.key(event)) event.preventDefault();
     else if (does && (isInScene || key !== "home")) {
       event.preventDefault();
@@ -385,6 +401,16 @@ async function run() {
   panel.setStructures(colouring.listed());
   panel.showRecordings(data.recordings.map(({ name }) => name));
   find("tab-recordings").hidden = data.recordings.length === 0;
+  const tour = showTours(find("panel-tour"), data.tours, {
+    picture,
+    hide: (numbers) => panel.hide(numbers),
+    play: playPart,
+    leave: () => {
+      if (played?.told) leaveRecording();
+    },
+    looked: () => tellSeen(),
+  });
+  find("tab-tour").hidden = data.tours.length === 0;
   picture.camera.frame(...box);
   planeControls.setCase(facts.axes, box);
   showStart();
@@ -417,7 +443,7 @@ async function run() {
   for (const id of ["tools", "size-group", "as-at-start"]) find(id).hidden = engine === null;
   find("tab-forces").hidden = engine === null && data.recordings.length === 0;
   tellEngine();
-  Object.assign(open, { picture, engine, picking, panel, facts, data });
+  Object.assign(open, { picture, engine, picking, panel, facts, data, tour });
   find("curtain").hidden = true;
   document.body.dataset.ready = "true";
 }

@@ -28,7 +28,7 @@ export const HELP = [
   ["B  L", "operate_help_back"],
   ["W", "operate_help_record"],
   ["V  A  Home", "operate_help_view"],
-  ["D  M  I", "tour_help"],
+  ["Q  M  H", "tour_help"],
   ["K  <  >", "scene_help_plane"],
   ["I  D", "scene_help_views"],
 ];

@@ -50,8 +50,8 @@ export class SceneShower {
     this.picture.plane.show(plane !== null);
   }
 
-  /** Go to a view, at once where the user wants no motion. @param {View} view */
-  goTo(view) {
+  /** Go to a view, at once where the user wants no motion. @param {View} view @param {() => void} [done] called there */
+  goTo(view, done = () => {}) {
     const { camera } = this.picture;
     const towards = unit(view.towards);
     const right = unit(cross(view.up, towards));
@@ -71,6 +71,7 @@ export class SceneShower {
     const way = (this.#way += 1);
     if (matchMedia("(prefers-reduced-motion: reduce)").matches) {
       put(1);
+      done();
       return;
     }
     const began = performance.now();
@@ -79,6 +80,7 @@ export class SceneShower {
       const time = Math.min((performance.now() - began) / TURN_MS, 1);
       put(time * time * (3 - 2 * time));
       if (time < 1) requestAnimationFrame(step);
+      else done();
     };
     step();
   }

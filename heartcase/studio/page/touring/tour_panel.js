@@ -140,7 +140,7 @@ export class TourPanel {
   /** @param {string} key in lower case @returns {(() => void) | null} what it does while a tour is under way */
   action(key) {
     if (!this.isBegun) return null;
-    return { d: () => this.go(this.step - 1), m: () => this.go(this.step + 1), i: () => this.go(this.step) }[key] ?? null;
+    return { q: () => this.go(this.step - 1), m: () => this.go(this.step + 1), h: () => this.go(this.step) }[key] ?? null;
   }
 
   /** @param {number} tour */
@@ -283,10 +283,10 @@ export class TourPanel {
     this.next.textContent = say("tour_next");
     this.again.textContent = say("tour_again");
     this.end.textContent = say("tour_end");
-    for (const [button, key] of /** @type {const} */ ([[this.back, "D"], [this.next, "M"], [this.again, "I"]])) {
+    for (const [button, key] of /** @type {const} */ ([[this.back, "Q"], [this.next, "M"], [this.again, "H"]])) {
       button.title = `${button.textContent} (${key})`;
     }
-    this.again.title = `${say("tour_again_says")} (I)`;
+    this.again.title = `${say("tour_again_says")} (H)`;
     this.back.setAttribute("aria-disabled", String(this.step <= 0));
     this.next.setAttribute("aria-disabled", String(this.step >= count - 1));
     this.at.textContent = say("tour_at", { at: this.step + 1, count });

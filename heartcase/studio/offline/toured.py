@@ -1,0 +1,80 @@
+"""A guided tour in a page without a server: what its steps do was done when the page was made, and is played there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from heartcase.schemas.errors import HeartcaseError, Problem
+from heartcase.simulator.live.live import LiveFrame, moment_of
+from heartcase.simulator.load import Case
+from heartcase.simulator.session.frame import Frame
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.simulation import SLEEP_MM, Simulation
+from heartcase.simulator.touring.case_places import CasePlaces
+from heartcase.simulator.touring.running import run_timed
+from heartcase.simulator.touring.staging import timed_commands
+from heartcase.studio.touring.found_tours import ShownTour
+
+__all__ = ["Toured"]
+
+_EVERY_S = 0.04
+"""Simulated time from picture to picture, s: played slower than it is, so that it can be followed."""
+_DAMPING_PER_S = 30.0
+"""As where the studio's server shows a tour, 1/s."""
+
+
+@dataclass
+class Toured:
+    """A tour, done on its case.
+
+    Parameters
+    ----------
+    tour
+        The tour.
+    case
+        The case, loaded with surface, structures and tissue.
+    """
+
+    tour: ShownTour
+    """The tour."""
+    case: Case
+    """The case."""
+    ends: list[int] = field(default_factory=list)
+    """For each step, how many of the moments are over at its end; shorter where a step could not be done."""
+    problems: list[Problem] = field(default_factory=list)
+    """Why the rest could not be done."""
+
+    def moments(self) -> Iterator[LiveFrame]:
+        """All moments, from the start on; ``ends`` and ``problems`` are known when they have been taken."""
+        if not any(step.acts for step in self.tour.tour.steps):
+            return
+        case = self.case
+        simulation = Simulation(
+            case.model, surface=case.surface, tissue=case.tissue, damping_per_s=_DAMPING_PER_S, sleep_mm=SLEEP_MM
+        )
+        session, places = OperatingSession(simulation), CasePlaces(case)
+        yield moment_of(session)
+        count = 1
+        for number, step in enumerate(self.tour.tour.steps):
+            taken: list[LiveFrame] = []
+
+            def take(frame: Frame, taken: list[LiveFrame] = taken) -> None:
+                if not taken or frame.time_s - taken[-1].frame.time_s >= _EVERY_S:
+                    taken.append(moment_of(session, frame))
+
+            try:
+                run_timed(session, timed_commands(self.tour.tour, number, places), on_frame=take)
+            except HeartcaseError as error:
+                self.problems += [Problem(f"line {step.line} (step {number + 1})", str(one)) for one in error.problems]
+                return
+            if step.acts:
+                taken.append(moment_of(session))
+            yield from taken
+            count += len(taken)
+            self.ends.append(count)
+
+    def as_data(self) -> dict[str, Any]:
+        """What the page is told of it, beside its moments."""
+        return self.tour.as_data() | {"ends": self.ends}

@@ -1,0 +1,61 @@
+"""A guided tour in the page without a server: what its steps do is in it."""
+
+import numpy as np
+import pytest
+
+from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.touring.reading import parse_tour
+from heartcase.simulator.load import load_case
+from heartcase.simulator.touring.case_places import CasePlaces
+from heartcase.simulator.touring.staging import staged_scenes
+from heartcase.studio.offline.toured import Toured
+from heartcase.studio.touring.found_tours import ShownTour
+from tests.hollow_case import hollow_case
+from tests.simulator.touring.hollow_tour import TOUR
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    path = tmp_path_factory.mktemp("toured") / "hollow.case"
+    write_bundle(path, hollow_case())
+    return load_case(path, needs=("surface", "structures", "tissue"))
+
+
+def toured(case, text):
+    tour = parse_tour(text)
+    return Toured(ShownTour(tour, staged_scenes(tour, CasePlaces(case))), case)
+
+
+def test_each_step_ends_with_what_it_did(case):
+    made = toured(case, TOUR)
+    moments = list(made.moments())
+    assert made.problems == []
+    assert made.ends[:2] == [1, 1]
+    assert made.ends == sorted(made.ends)
+    assert made.ends[-1] == len(moments)
+    at_end = [moments[end - 1].frame for end in made.ends]
+    assert [sorted(one.instruments) for one in at_end] == [
+        [],
+        [],
+        ["probe"],
+        ["lid one lip", "lid other lip"],
+        ["lid one lip", "lid other lip"],
+        [],
+    ]
+    assert list(at_end[4].patches) == ["patch"]
+    assert np.abs(moments[0].frame.displacement_mm).max() == 0.0
+
+
+def test_a_step_that_cannot_be_done_leaves_those_before(case):
+    wrong = TOUR.replace('kind = "withdraw_probe"\nname = "probe"', 'kind = "take_out_patch"\nname = "none"')
+    made = toured(case, wrong)
+    moments = list(made.moments())
+    assert len(made.ends) == 3
+    assert made.ends[-1] == len(moments)
+    assert "(step 4)" in made.problems[0].place
+
+
+def test_a_tour_that_only_shows_takes_no_steps(case):
+    made = toured(case, TOUR.partition("## Through it")[0])
+    assert list(made.moments()) == []
+    assert made.as_data()["ends"] == []
