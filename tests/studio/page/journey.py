@@ -1,0 +1,98 @@
+"""Strokes for a whole heart, drawn by mouse: made from a volume of labels, in axial slices, as a person would."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from tests.studio.page.browsing import FRAMES
+
+INNER_MM = 1.0
+"""So far a stroke keeps from the border of what it marks, where there is so much room."""
+
+
+def strokes_of(labels, values, geometry, *, per_label=3, background=4):
+    """Strokes [(value, [start, end] in mm)], each in an axial slice, inside its structure; the background's last.
+
+    Parameters
+    ----------
+    labels
+        Label of each voxel, [z, y, x].
+    values
+        Labels that are marked.
+    geometry
+        Their lattice, whose axes run along the patient's.
+    """
+    spacing = np.array(geometry.spacing_mm)
+    found = []
+    for value in values:
+        areas = (labels == value).sum(axis=(1, 2))
+        slices = np.flatnonzero(areas)
+        shares = (np.arange(per_label) + 0.5) / per_label
+        for k in sorted({int(slices[int(share * len(slices))]) for share in shares}):
+            line = _longest_line(labels[k] == value, spacing[1::-1])
+            found.append((value, _mm(line, k, geometry)))
+    heart = ndimage.distance_transform_edt(labels == 0, sampling=spacing[::-1])
+    slices = np.flatnonzero((labels != 0).any(axis=(1, 2)))
+    for share in (np.arange(background) + 0.5) / background:
+        k = int(slices[int(share * len(slices))])
+        line = _longest_line(heart[k] > 5.0, spacing[1::-1])
+        found.append((0, _mm(line, k, geometry)))
+    return found
+
+
+def _longest_line(mask, spacing):
+    """Two voxels (j, i) of a slice: from the deepest along the longest way that stays well inside."""
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1), sampling=spacing)[1:-1, 1:-1]
+    start = np.array(np.unravel_index(depth.argmax(), depth.shape))
+    deep = np.argwhere(depth >= min(0.6 * depth.max(), INNER_MM + spacing.max()))
+    away = np.linalg.norm((deep - start) * spacing, axis=1)
+    for n in np.argsort(-away):
+        way = start + np.linspace(0.0, 1.0, 40)[:, None] * (deep[n] - start)
+        j, i = np.rint(way).astype(int).T
+        if (depth[j, i] >= min(0.5 * depth.max(), INNER_MM)).all():
+            return start, deep[n]
+    return start, start
+
+
+def _mm(line, k, geometry):
+    return [geometry.index_to_world((i, j, k)) for j, i in line]
+
+
+class Painter:
+    """The mouse over the slices of a scan, all of which are seen."""
+
+    def __init__(self, page, geometry):
+        self.page, self.tab, self.geometry = page, page.tab, geometry
+
+    def pixel(self, view, mm):
+        """Where a position is seen, in the window's pixels."""
+        right, down = np.array(FRAMES[view], float)
+        left, top, width, height = self.page.box(view)
+        steps = self.geometry.affine[:3, :3]
+        size = np.array(self.geometry.size)
+        extents = [(np.abs(axis @ steps) * size).sum() for axis in (right, down)]
+        scale = max(extents[0] / width, extents[1] / height)
+        off = np.asarray(mm) - self.geometry.index_to_world((size - 1) / 2.0)
+        return left + width / 2 + off @ right / scale, top + height / 2 + off @ down / scale
+
+    def look_at(self, mm):
+        """Take the slices to a place, by the pointer."""
+        before = self.tab.evaluate("() => document.body.dataset.tool")
+        self.tab.keyboard.press("v")
+        for view in ("axial", "sagittal"):
+            self.tab.mouse.click(*self.pixel(view, mm))
+        if before == "shape":
+            self.tab.keyboard.press("s")
+        self.page.drawn()
+
+    def stroke(self, key, points_mm):
+        """A stroke of the structure that a key picks."""
+        self.look_at(points_mm[0])
+        self.tab.keyboard.press("b")
+        self.tab.keyboard.press(key)
+        self.tab.mouse.move(*self.pixel("axial", points_mm[0]))
+        self.tab.mouse.down()
+        for mm in points_mm[1:]:
+            self.tab.mouse.move(*self.pixel("axial", mm), steps=8)
+        self.tab.mouse.up()
