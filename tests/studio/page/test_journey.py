@@ -187,7 +187,7 @@ def test_a_childs_heart_with_a_hole_from_dicom_to_the_operated_model(chromium, t
         journey.paint(painter, strokes)
         # as the same strokes in a recipe label it, and near the truth
         session = open_session(path, out=folder / "again").session
-        assert len(session.strokes) == len(strokes)
+        assert len(load_recipe(path).strokes) == len(strokes)
         for value in (1, 2, 3, 4):
             one, other = session.labels == value, truth == value
             assert 2.0 * (one & other).sum() / (one.sum() + other.sum()) > 0.8, value
