@@ -11,7 +11,7 @@ INNER_MM = 1.0
 """So far a stroke keeps from the border of what it marks, where there is so much room."""
 
 
-def strokes_of(labels, values, geometry, *, per_label=3, background=4):
+def strokes_of(labels, values, geometry, *, per_label=3, background=6):
     """Strokes [(value, [start, end] in mm)], each in an axial slice, inside its structure; the background's last.
 
     Parameters
@@ -32,13 +32,26 @@ def strokes_of(labels, values, geometry, *, per_label=3, background=4):
         for k in sorted({int(slices[int(share * len(slices))]) for share in shares}):
             line = _longest_line(labels[k] == value, spacing[1::-1])
             found.append((value, _mm(line, k, geometry)))
-    heart = ndimage.distance_transform_edt(labels == 0, sampling=spacing[::-1])
     slices = np.flatnonzero((labels != 0).any(axis=(1, 2)))
     for share in (np.arange(background) + 0.5) / background:
         k = int(slices[int(share * len(slices))])
-        line = _longest_line(heart[k] > 5.0, spacing[1::-1])
-        found.append((0, _mm(line, k, geometry)))
+        found.append((0, _mm(_ring(labels[k] != 0, spacing[1::-1]), k, geometry)))
     return found
+
+
+def _ring(mask, spacing, *, away_mm=4.0):
+    """A line all around what is in a slice: pixels (j, i)."""
+    middle = np.argwhere(mask).mean(axis=0)
+    size = np.array(mask.shape)
+    line = []
+    for angle in np.linspace(0.0, 2.0 * np.pi, 17):
+        way = np.array([np.sin(angle), np.cos(angle)]) / spacing
+        steps = middle + np.arange(0.0, 400.0, 0.5)[:, None] * way
+        steps = steps[((steps >= 0) & (steps <= size - 1)).all(axis=1)]
+        j, i = np.rint(steps).astype(int).T
+        last = int(np.flatnonzero(mask[j, i]).max(initial=0) + away_mm / 0.5)
+        line.append(np.clip(middle + 0.5 * last * way, 1.0, size - 2.0))
+    return line
 
 
 def _longest_line(mask, spacing):
@@ -94,5 +107,5 @@ class Painter:
         self.tab.mouse.move(*self.pixel("axial", points_mm[0]))
         self.tab.mouse.down()
         for mm in points_mm[1:]:
-            self.tab.mouse.move(*self.pixel("axial", mm), steps=8)
+            self.tab.mouse.move(*self.pixel("axial", mm), steps=4)
         self.tab.mouse.up()
