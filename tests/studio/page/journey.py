@@ -92,6 +92,8 @@ class Painter:
     def look_at(self, mm):
         """Take the slices to a place, by the pointer."""
         before = self.tab.evaluate("() => document.body.dataset.tool")
+        # a key would go into a field that has the focus
+        self.tab.locator("#axial .surface").focus()
         self.tab.keyboard.press("v")
         for view in ("axial", "sagittal"):
             self.tab.mouse.click(*self.pixel(view, mm))
