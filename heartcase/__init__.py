@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from heartcase.library.build import Workers, build_cases, connected, default_workers, stale_cases
-    from heartcase.library.catalogue.site import CatalogueResult, write_catalogue
     from heartcase.library.check import CaseCheck, check_case
     from heartcase.library.diff import CaseChange, Tolerances, diff_libraries
     from heartcase.library.plan import CaseRecord, LibraryCase, plan_library
@@ -137,6 +136,7 @@ if TYPE_CHECKING:
     from heartcase.simulator.surface.write_surface import write_surface
     from heartcase.simulator.suturing.stitches import StitchState
     from heartcase.simulator.watchdog import Watch
+    from heartcase.studio.catalogue.site import CatalogueResult, write_catalogue
 
 __version__ = "0.1.0"
 
@@ -312,7 +312,7 @@ __all__ = [
 
 _MODULES = {
     "heartcase.library.build": ("Workers", "build_cases", "connected", "default_workers", "stale_cases"),
-    "heartcase.library.catalogue.site": ("CatalogueResult", "write_catalogue"),
+    "heartcase.studio.catalogue.site": ("CatalogueResult", "write_catalogue"),
     "heartcase.library.check": ("CaseCheck", "check_case"),
     "heartcase.library.diff": ("CaseChange", "Tolerances", "diff_libraries"),
     "heartcase.library.plan": ("CaseRecord", "LibraryCase", "plan_library"),

@@ -31,8 +31,11 @@ __all__ = ["Called", "Progress", "compiled_ahead", "core_count", "serve"]
 
 _ROOT = Path(__file__).parents[2]
 _SERVE = (
-    "import sys; sys.path.append(sys.argv[1]); from heartcase.compiling.compile_ahead import serve; serve(sys.argv[2])"
+    "import sys; sys.path.append(sys.argv[1]); from heartcase.compiling.compile_ahead import serve;"
+    "serve(sys.argv[2], int(sys.argv[3]))"
 )
+_BEHIND = 10
+"""How far processes stand behind others that leave them the processors."""
 _FIRST_SECONDS = 5.0
 """Of the list, after which the pace of this machine is known."""
 _NOTE_NAME = "heartcase-compiled.txt"
@@ -75,7 +78,11 @@ def core_count() -> int:
 
 @contextlib.contextmanager
 def compiled_ahead(
-    wanted: Sequence[Called], *, processes: int, told: Callable[[Progress], None] = lambda _: None
+    wanted: Sequence[Called],
+    *,
+    processes: int,
+    told: Callable[[Progress], None] = lambda _: None,
+    is_behind: bool = False,
 ) -> Iterator[None]:
     """Compile kernels in other processes while the body runs; they are ended with it, however it ends.
 
@@ -91,6 +98,8 @@ def compiled_ahead(
         How many processes; 0 for none.
     told
         Called as kernels are done, from other threads than the caller's.
+    is_behind
+        Whether the processes leave the processors to all that others do.
     """
     note = None if processes < 1 or not wanted or getattr(sys, "frozen", False) else _note()
     if note is None:
@@ -102,7 +111,7 @@ def compiled_ahead(
         yield
         return
     with _temporary_folder(note.parent) as unfinished:
-        team = _ProcessTeam([one for one, _ in left], processes, told, unfinished)
+        team = _ProcessTeam([one for one, _ in left], processes, told, unfinished, is_behind=is_behind)
         try:
             team.begin()
             yield
@@ -132,10 +141,17 @@ class _ProcessTeam:
     """The processes, and a thread for each that hands it one kernel after the other."""
 
     def __init__(
-        self, wanted: Sequence[Called], processes: int, told: Callable[[Progress], None], unfinished: str
+        self,
+        wanted: Sequence[Called],
+        processes: int,
+        told: Callable[[Progress], None],
+        unfinished: str,
+        *,
+        is_behind: bool,
     ) -> None:
         self.waiting = deque(wanted)
         self.unfinished = unfinished
+        self.is_behind = is_behind
         self.total = len(wanted)
         self.done: list[Called] = []
         self.done_seconds, self.all_seconds = 0.0, sum(one.seconds for one in wanted)
@@ -171,7 +187,7 @@ class _ProcessTeam:
             if self.is_ended:
                 return
             try:
-                process = _start(self.unfinished)
+                process = _start(self.unfinished, is_behind=self.is_behind)
             except OSError:
                 return
             self.processes.append(process)
@@ -202,13 +218,13 @@ class _ProcessTeam:
         return Progress(len(self.done), self.failed_count, self.total, left * pace)
 
 
-def _start(unfinished: str) -> subprocess.Popen[str]:
+def _start(unfinished: str, *, is_behind: bool = False) -> subprocess.Popen[str]:
     """A process that compiles what it is told to; it finds this package also where this process found it.
 
     Files that it has not written to their end yet lie in the folder ``unfinished``.
     """
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", _SERVE, str(_ROOT), unfinished],
+        [sys.executable, "-P", "-c", _SERVE, str(_ROOT), unfinished, str(_BEHIND if is_behind else 0)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -229,14 +245,18 @@ def _ask(process: subprocess.Popen[str], one: Called) -> str:
         return ""
 
 
-def serve(unfinished: str) -> None:
+def serve(unfinished: str, niceness: int = 0) -> None:
     """Compile the kernels that are named on standard input, one a line, until it is closed; answer each with a line.
 
     Parameters
     ----------
     unfinished
         Folder for what is being written to the cache; beside what it will be where this is empty.
+    niceness
+        How far this process stands behind others, where the system knows that.
     """
+    if niceness and hasattr(os, "nice"):
+        os.nice(niceness)
     from heartcase.compiling.kernel import write_unfinished_to
     from heartcase.compiling.signatures import from_json
 

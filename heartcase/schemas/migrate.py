@@ -16,7 +16,7 @@ from typing import Any
 from heartcase import __version__
 from heartcase.schemas.errors import HeartcaseError, RecipeError, ScriptError
 
-__all__ = ["BUNDLE_CHANGES", "PLANS", "RECIPE", "SCRIPT", "Migration", "VersionedFormat", "bundle_changes"]
+__all__ = ["BUNDLE_CHANGES", "PLANS", "RECIPE", "SCRIPT", "TOUR", "Migration", "VersionedFormat", "bundle_changes"]
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,9 @@ SCRIPT = VersionedFormat("simulation script", "heartcase_script", ScriptError)
 
 PLANS = VersionedFormat("file of incision plans", "heartcase_plans", ScriptError)
 """Versions of the file of incision plans."""
+
+TOUR = VersionedFormat("guided tour", "heartcase_tour", ScriptError)
+"""Versions of the guided tour."""
 
 BUNDLE_CHANGES: dict[str, tuple[str, ...]] = {
     "1.1": (

@@ -9,6 +9,7 @@ import json
 import os
 import traceback
 import zlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from heartcase.pipeline.watershed.forest import Box
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import HeartcaseError
 
-__all__ = ["labels_message", "problems_of", "scan_message", "surface_message", "text_message", "told"]
+__all__ = ["boxes_message", "labels_message", "problems_of", "scan_message", "surface_message", "text_message", "told"]
 
 _RAW_SIZE_MAX = 1 << 15
 """Bytes up to which compressing would take longer than sending."""
@@ -73,6 +74,16 @@ def labels_message(labels: UInt8, box: Box) -> bytes:
     if part.size > _RAW_SIZE_MAX and (runs := _as_runs(part.ravel())) is not None:
         return _binary(header, runs, encoding="runs")
     return _binary(header, part.tobytes(), encoding="raw")
+
+
+def boxes_message(boxes: Sequence[Box], parts: Sequence[UInt8]) -> bytes:
+    """The labels in several boxes of slices [z, y, x], one after the other; what they hold is given."""
+    places = [[*(one.start for one in box[::-1]), *part.shape[::-1]] for box, part in zip(boxes, parts, strict=True)]
+    whole = np.concatenate([part.ravel() for part in parts])
+    header = {"kind": "boxes", "boxes": places}
+    if len(whole) > _RAW_SIZE_MAX and (runs := _as_runs(whole)) is not None:
+        return _binary(header, runs, encoding="runs")
+    return _binary(header, whole.tobytes(), encoding="raw")
 
 
 def surface_message(surface: QuickSurface) -> bytes:

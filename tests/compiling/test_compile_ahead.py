@@ -139,7 +139,7 @@ def endless(tmp_path, monkeypatch):
     """Processes that never answer."""
     started = []
 
-    def start(unfinished):
+    def start(unfinished, *, is_behind):
         started.append(
             subprocess.Popen(
                 [sys.executable, "-c", "import time; time.sleep(600)"],
@@ -261,7 +261,7 @@ def test_what_a_killed_process_was_writing_goes_and_what_others_write_stays(tmp_
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache))
     writing = []
 
-    def start(unfinished):
+    def start(unfinished, *, is_behind):
         process = subprocess.Popen(
             [sys.executable, "-c", SLOWLY, "", unfinished],
             stdin=subprocess.PIPE,

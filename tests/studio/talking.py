@@ -18,7 +18,20 @@ from tests.cli.small_case import write_scan
 TOKEN, PORT = "a-token", 4711
 ADDRESS = f"http://127.0.0.1:{PORT}"
 
-ANSWERS = ("done", "refused", "places", "proposal", "found_ends", "preview", "folder", "series", "go", "picture")
+ANSWERS = (
+    "done",
+    "seen",
+    "refused",
+    "places",
+    "planes",
+    "proposal",
+    "found_ends",
+    "preview",
+    "folder",
+    "series",
+    "go",
+    "picture",
+)
 
 RECIPE = """\
 # a comment that stays
@@ -91,6 +104,12 @@ class Talker:
             payload = np.repeat(values, np.diff(ends, prepend=0)).tobytes()
         if header["kind"] == "surface":
             self.surface = header | {"bytes": len(payload)}
+            return
+        if header["kind"] == "boxes":
+            for *low, a, b, c in header["boxes"]:
+                k, j, i = (slice(first, first + n) for first, n in zip(low[::-1], (c, b, a), strict=True))
+                self.labels[k, j, i] = np.frombuffer(payload[: a * b * c], np.uint8).reshape(c, b, a)
+                payload = payload[a * b * c :]
             return
         shape = header["size"][::-1]
         if header["kind"] == "scan":

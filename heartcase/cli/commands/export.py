@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from heartcase.cli.shared.output import echo_json, file_size, working
+from heartcase.cli.shared.output import echo_json, error_console, file_size, working
 from heartcase.schemas.bundle.format import LEVEL_MAX, CaseManifest, FileRole
 from heartcase.schemas.errors import BundleError, Problem, UsageError
 from heartcase.schemas.files import atomic_write
@@ -135,6 +135,8 @@ RECORDED_FORMATS = (".glb", ".html", ".gif", ".mp4")
 """What a recording can be shown as."""
 PAGE = ".html"
 """A page for a browser, which needs no server."""
+SITE = ""
+"""A folder of pages."""
 FRAMES_PER_SECOND = 15.0
 """Frames in a second of a recording's simulated time."""
 ERROR_MM = 0.05
@@ -197,13 +199,52 @@ def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
     return _Made(surface_bytes(mesh, suffix), f"the surface of {_called(model)}", warnings=mesh.warnings)
 
 
-def _page(case: Path, level: int) -> _Made:
+def _page(export: _Export, recordings: Sequence[Path], rate: float | None) -> _Made:
     """The case for a browser."""
-    from heartcase.simulator.load import load_case
-    from heartcase.studio.offline.web_page import web_page
+    from heartcase.cli.shared.web_pages import page_of
 
-    loaded = load_case(case, needs=("surface", "structures", "cell_labels"), level=level)
-    return _Made(web_page(loaded), "the case as a page")
+    rate = FRAMES_PER_SECOND if rate is None else rate
+    content = page_of(export.case, recordings, level=export.level, frames_per_second=rate)
+    words = {0: "", 1: " with its recording"}.get(len(recordings), f" with {len(recordings)} recordings")
+    return _Made(content, f"the case as a page{words}", {"frames_per_second": rate} if recordings else {})
+
+
+def _write_site(
+    cases: Sequence[Path],
+    recordings: Sequence[Path],
+    out: Path,
+    level: int | None,
+    rate: float | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Write a site, and say so."""
+    from heartcase.cli.shared.web_pages import site_of
+    from heartcase.pipeline.warnings import counted
+
+    rate = FRAMES_PER_SECOND if rate is None else rate
+    console = error_console()
+    try:
+        made = site_of(
+            cases, recordings, out, level=level, frames_per_second=rate,
+            say=lambda name: console.print(f"  {name}", markup=False, soft_wrap=True),
+        )  # fmt: skip
+    except OSError as error:
+        raise _cannot_be_written(error) from None
+    for warning in made.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    if as_json:
+        facts = {"format": "site", "index": str(made.index), "cases": made.names, "bytes": made.byte_count}
+        echo_json(facts | {"warnings": made.warnings})
+    else:
+        size = file_size(made.byte_count)
+        click.echo(f"wrote a site of {counted(len(cases), 'case')} to {out.name}, {size}; open {made.index}")
+
+
+def _cannot_be_written(error: OSError) -> UsageError:
+    reason = (error.strerror or "the system gives no reason").lower()
+    words = f"cannot be written: {reason}; give a place in a folder that is there and may be written"
+    return UsageError(words, place="--out")
 
 
 def _recorded(
@@ -218,7 +259,11 @@ def _recorded(
     return _Made(made.content, made.what, made.facts)
 
 
-def _suffix_of(name: str, recording: Path | None) -> str:
+ENDINGS = (*WRITERS, *dict.fromkeys(ending for held in MODELS.values() for ending in held), PAGE)
+"""Endings of all that is written of a case at rest."""
+
+
+def _suffix_of(name: str, is_recorded: bool) -> str:
     """The ending of a file name that says its format.
 
     Raises
@@ -226,13 +271,13 @@ def _suffix_of(name: str, recording: Path | None) -> str:
     UsageError
         It says none.
     """
-    endings = [*WRITERS, *dict.fromkeys(ending for held in MODELS.values() for ending in held), PAGE]
-    if recording is not None:
-        endings = [*RECORDED_FORMATS]
+    endings = RECORDED_FORMATS if is_recorded else ENDINGS
     for ending in endings:
         if name.lower().endswith(ending):
             return ending
-    raise UsageError(f"the file must end in one of: {', '.join(endings)}", place="--out")
+    raise UsageError(
+        f"the file must end in one of: {', '.join(endings)}; a site, which is a folder, needs --web", place="--out"
+    )
 
 
 def _problems(
@@ -247,11 +292,11 @@ def _problems(
     problems = []
     if series is not None and scan is None:
         problems.append(Problem("--series", "says which series of --scan: give that too, or leave it out"))
-    if level and (model or "hollow" if suffix in (*MODELS["hollow"], PAGE) else None) != "hollow":
+    if level and (model or "hollow" if suffix in (*MODELS["hollow"], PAGE, SITE) else None) != "hollow":
         problems.append(Problem("--level", "only the hollow model has levels of detail: leave it out"))
     if scan is not None and suffix not in _WITH_SCAN:
         problems.append(Problem("--scan", f"serves only for {' and '.join(_WITH_SCAN)}: leave it out"))
-    if model is not None and suffix == PAGE:
+    if model is not None and suffix in (PAGE, SITE):
         problems.append(Problem("--model", "a page shows the hollow model: leave it out"))
     elif model is not None and suffix not in MODELS[model]:
         held = [name for name, endings in MODELS.items() if suffix in endings]
@@ -263,33 +308,55 @@ def _problems(
 
 
 def _motion_problems(
-    suffix: str, model: str | None, recording: Path | None, rate: float | None, error_mm: float | None
+    suffix: str, model: str | None, recordings: Sequence[Path], rate: float | None, error_mm: float | None
 ) -> list[Problem]:
     """Options that do not go with showing a recording."""
     problems = []
-    if recording is not None and model is not None:
+    if recordings and model is not None:
         problems.append(Problem("--model", "a recording shows the hollow model: leave it out"))
-    if recording is None and rate is not None:
+    if len(recordings) > 1 and suffix not in (PAGE, SITE):
+        problems.append(Problem("--recording", f"only {PAGE} and a site show several: give one"))
+    if not recordings and rate is not None:
         problems.append(Problem("--frames-per-second", "serves only with --recording: leave it out"))
-    if error_mm is not None and (recording is None or suffix != ".glb"):
+    if error_mm is not None and (not recordings or suffix != ".glb"):
         problems.append(Problem("--error-mm", "serves only with --recording and .glb: leave it out"))
     if any(number is not None and math.isnan(number) for number in (rate, error_mm)):
         problems.append(Problem("--frames-per-second, --error-mm", "must be numbers"))
     return problems
 
 
+def _site_problems(cases: Sequence[Path], output: Path, is_web: bool) -> list[Problem]:
+    """What keeps a site from being written, as far as the command line tells."""
+    problems = []
+    ending = next((one for one in (*ENDINGS, *RECORDED_FORMATS) if output.name.lower().endswith(one)), None)
+    if ending is not None:
+        several = "several cases make a site, which is a folder" if len(cases) > 1 else "a site is a folder"
+        problems.append(Problem("--out", f"{several}: give a name without {ending}"))
+    if not is_web and len(cases) > 1 and ending is None and output.suffix:
+        problems.append(Problem("--out", "several cases make a site: add --web if this is its folder"))
+    return problems
+
+
 @click.command()
-@click.argument("case", type=click.Path(path_type=Path, readable=False))
+@click.argument("cases", metavar="CASE...", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
 @click.option(
     "-o",
     "--out",
     "output",
     type=click.Path(path_type=Path, readable=False),
     required=True,
-    help="The file to write. Labels: .seg.nrrd or .dcm (DICOM SEG) with names, colours and codes; .nii.gz or .nrrd "
+    help="The file to write; of several CASEs, or with --web, the folder. Labels: .seg.nrrd"
+    " or .dcm (DICOM SEG) with names, colours and codes; .nii.gz or .nrrd "
     "with the label values alone. For printing: .stl, .ply, .3mf. To look at: .glb, or .html, a page "
     "that any browser opens without a server. For ParaView: .vtu, .vtk. "
     "For finite elements: .inp (Abaqus), .msh (Gmsh 2.2).",
+)
+@click.option(
+    "--web",
+    "is_web",
+    is_flag=True,
+    help="Write a site into the folder --out: an index and a page for each CASE, for a folder or any web server. A "
+    "site that is there is replaced whole; a folder with other files is refused.",
 )
 @click.option(
     "--model",
@@ -307,8 +374,7 @@ def _motion_problems(
 @click.option(
     "--level",
     type=click.IntRange(0, LEVEL_MAX),
-    default=0,
-    help="Level of detail of the hollow model; 0 is the finest.",
+    help="Level of detail of the hollow model; left out, it is 0, the finest, and of a site the middle one.",
 )
 @click.option(
     "--scan",
@@ -323,8 +389,10 @@ def _motion_problems(
 )
 @click.option(
     "--recording",
+    "recordings",
+    multiple=True,
     type=click.Path(path_type=Path, readable=False),
-    help="A recording of CASE to show in motion, as .glb, .html, .gif or .mp4.",
+    help="A recording of CASE to show in motion, as .glb, .html, .gif or .mp4; repeatable for .html and a site.",
 )
 @click.option(
     "--frames-per-second",
@@ -340,19 +408,22 @@ def _motion_problems(
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the file.")
 @working("exporting")
 def command(
-    case: Path,
+    cases: tuple[Path, ...],
     output: Path,
+    is_web: bool,
     model: str | None,
     min_thickness_mm: float | None,
-    level: int,
+    level: int | None,
     scan: Path | None,
     series: str | None,
-    recording: Path | None,
+    recordings: tuple[Path, ...],
     frames_per_second: float | None,
     error_mm: float | None,
     as_json: bool,
 ) -> None:
     """Write the labels of CASE, a model to print, a mesh, or a recording in motion, for another program.
+
+    Several CASEs make a site for a browser.
 
     The ending of the file says what is written; positions are patient LPS in mm. A model that is not closed is refused;
     all else that may disturb its print is a warning.
@@ -362,18 +433,24 @@ def command(
     """
     from heartcase.schemas.bundle.reader import open_bundle
 
-    suffix = _suffix_of(output.name, recording)
-    problems = _motion_problems(suffix, model, recording, frames_per_second, error_mm)
-    problems += _problems(suffix, model, scan, series, min_thickness_mm, 0 if recording else level)
+    is_site = is_web or len(cases) > 1
+    wrong = _site_problems(cases, output, is_web) if is_site else []
+    suffix = SITE if is_site else _suffix_of(output.name, bool(recordings))
+    problems = wrong + _motion_problems(suffix, model, recordings, frames_per_second, error_mm)
+    problems += _problems(suffix, model, scan, series, min_thickness_mm, 0 if recordings else level or 0)
     if problems:
         raise UsageError(problems)
-    export = _Export(case, open_bundle(case), scan, series, level)
+    if is_site:
+        _write_site(cases, recordings, output, level, frames_per_second, as_json=as_json)
+        return
+    (case,) = cases
+    export = _Export(case, open_bundle(case), scan, series, level or 0)
     if level:
         export.bundle.surface_role(level, place="--level")
-    if recording is not None:
-        made = _recorded(case, recording, suffix, level, frames_per_second, error_mm)
-    elif suffix == PAGE:
-        made = _page(case, level)
+    if suffix == PAGE:
+        made = _page(export, recordings, frames_per_second)
+    elif recordings:
+        made = _recorded(case, recordings[0], suffix, export.level, frames_per_second, error_mm)
     elif suffix in WRITERS:
         made = _Made(WRITERS[suffix](export), "the labels")
     else:
@@ -387,10 +464,7 @@ def command(
     try:
         atomic_write(output, made.content)
     except OSError as error:
-        reason = (error.strerror or "the system gives no reason").lower()
-        raise UsageError(
-            f"cannot be written: {reason}; give a file in a folder that is there and may be written", place="--out"
-        ) from None
+        raise _cannot_be_written(error) from None
     for warning in made.warnings:
         click.echo(f"warning: {warning}", err=True)
     if as_json:

@@ -1,4 +1,4 @@
-"""``heartcase validate``: every problem of a case, a recipe, a simulation script or a recording."""
+"""``heartcase validate``: every problem of a case, a recipe, a simulation script, a recording or a guided tour."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from pathlib import Path
 import click
 
 from heartcase.cli.shared.output import echo_json, working
+from heartcase.cli.shared.tours import tour_findings
 from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.check import check_bundle
-from heartcase.schemas.errors import HeartcaseError, Problem
+from heartcase.schemas.errors import HeartcaseError, Problem, UsageError
 from heartcase.schemas.recipe.recipe import Recipe, load_recipe
 from heartcase.schemas.recording.reader import check_recording, is_recording
 from heartcase.schemas.scripts.script import SimulationScript
+from heartcase.schemas.touring.reading import is_tour
 
 __all__ = ["command"]
 
@@ -23,18 +25,27 @@ __all__ = ["command"]
 @click.command()
 @click.argument("path", type=click.Path(path_type=Path, readable=False))
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@click.option("--case", type=click.Path(path_type=Path), help="Of a tour: the case or the recipe that it is for.")
+@click.option("--run", is_flag=True, help="Of a tour: do on the built case of --case all that it does.")
 @click.pass_context
 @working("checking")
-def command(ctx: click.Context, path: Path, as_json: bool) -> None:
-    """Check PATH, a case directory, a recipe (.toml), a simulation script (.toml) or a recording; list every problem.
+def command(ctx: click.Context, path: Path, as_json: bool, case: Path | None, run: bool) -> None:
+    """Check PATH, a case directory, a recipe, a script (.toml), a recording or a tour (.tour.md); list every problem.
 
     Of a case the hash of every file and every value is checked; of a recipe also that the files it names are there and
     can be read, that its markers lie on the scan and mark background and tissue, and that none of its strokes is still
     the example of a starter recipe. What overlaps or is cut off is told as a warning.
     Of a recording every line of its log and the hash of every state is checked.
+    Of a guided tour also that its case has what it names: the recipe of that name beside it, or --case, a case or a
+    recipe. On a built case, --run does all that it does, step by step.
     Exit code 0: sound; 1: problems were found.
     """
-    found = _findings(path)
+    if is_tour(path):
+        found = _Findings(*tour_findings(path, case, run=run))
+    elif case is not None or run:
+        raise UsageError("--case and --run are for guided tours (.tour.md)", place="PATH")
+    else:
+        found = _findings(path)
     problems = found.problems
     approval = approval_state(path) if path.is_dir() and not is_recording(path) else None
     if as_json:

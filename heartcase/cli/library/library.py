@@ -267,7 +267,7 @@ def catalogue(out: Path, to: Path | None, languages: tuple[str, ...], as_json: b
     A case without [about] in its recipe is refused, and so is a patient's without a recorded release. Exits with 1
     where a case was refused.
     """
-    from heartcase.library.catalogue.site import write_catalogue
+    from heartcase.studio.catalogue.site import write_catalogue
 
     console = error_console()
     result = write_catalogue(

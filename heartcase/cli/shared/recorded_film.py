@@ -12,9 +12,8 @@ import numpy as np
 from heartcase.cli.shared.film import Filmer, Seen, animation_bytes, check_animation_name
 from heartcase.schemas.arrays import Float32, Int32, UInt8
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.recording.reader import open_recording
+from heartcase.schemas.recording.reader import Recording, open_recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
-from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session, refuse_deviation
@@ -22,7 +21,7 @@ from heartcase.simulator.session.replay import load_session, refuse_deviation
 if TYPE_CHECKING:
     from heartcase.pipeline.exports.animation import MovingSurface
 
-__all__ = ["FRAMES_MAX", "Animation", "animation_of", "frame_steps"]
+__all__ = ["FRAMES_MAX", "Animation", "animation_of", "check_frame_count", "frame_steps"]
 
 FRAMES_MAX = 3000
 """Frames of one animation."""
@@ -49,7 +48,7 @@ def animation_of(
     recording, case
         The recording, and the case that was recorded.
     suffix
-        ``.glb``, ``.html``, ``.gif`` or ``.mp4``.
+        ``.glb``, ``.gif`` or ``.mp4``.
     level
         Level of detail of the surface.
     frames_per_second
@@ -63,20 +62,29 @@ def animation_of(
         The recording is not whole, of another case, or does not come to what was recorded; it is too long; or what
         writes the format is not installed.
     """
-    if suffix not in (".glb", ".html"):
+    if suffix != ".glb":
         check_animation_name(Path(f"animation{suffix}"))
     opened = open_recording(recording)
-    count = round(opened.seconds * frames_per_second) + 1
-    if count > FRAMES_MAX:
-        raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: give fewer", place="--frames-per-second")
-    loaded = load_case(case, needs=("surface", "colours", "structures", "tissue"), level=level)
+    check_frame_count(opened, frames_per_second)
+    loaded = load_case(case, needs=("surface", "colours", "tissue"), level=level)
     tissue = loaded.tissue if opened.header.tissue_sha256 else TissueSamples.everywhere()
     session = load_session(opened, loaded.model, surface=loaded.surface, tissue=tissue)
-    if suffix == ".html":
-        return _page(session, loaded, recording.stem, frames_per_second)
     if suffix == ".glb":
         return _glb(session, loaded, frames_per_second, error_mm)
     return _film(session, loaded, suffix, frames_per_second)
+
+
+def check_frame_count(recording: Recording, frames_per_second: float) -> None:
+    """Refuse a recording of too many frames.
+
+    Raises
+    ------
+    UsageError
+        There would be more than :data:`FRAMES_MAX`.
+    """
+    count = round(recording.seconds * frames_per_second) + 1
+    if count > FRAMES_MAX:
+        raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: give fewer", place="--frames-per-second")
 
 
 def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second: float) -> Animation:
@@ -89,28 +97,6 @@ def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second:
     content = animation_bytes(suffix, camera.frames, frames_per_second, comment)
     facts: dict[str, object] = {"frame_count": len(camera.frames), "frames_per_second": frames_per_second}
     return Animation(content, f"{len(camera.frames)} frames", facts)
-
-
-def _page(session: OperatingSession, case: Case, name: str, frames_per_second: float) -> Animation:
-    from heartcase.studio.offline.web_page import Recorded, web_page
-
-    content = web_page(
-        case, [Recorded(name, _moments(session, frames_per_second))], frames_per_second=frames_per_second
-    )
-    facts: dict[str, object] = {"frames_per_second": frames_per_second}
-    return Animation(content, "the case as a page with its recording", facts)
-
-
-def _moments(session: OperatingSession, frames_per_second: float) -> Iterator[LiveFrame]:
-    """Moments of a recording, the first one included; at the end it is checked against what was recorded."""
-    yield moment_of(session)
-    for step in frame_steps(session, frames_per_second):
-        for _ in session.play(step):
-            pass
-        yield moment_of(session)
-    for _ in session.play():
-        pass
-    refuse_deviation(session)
 
 
 def _glb(session: OperatingSession, case: Case, frames_per_second: float, error_mm: float) -> Animation:

@@ -17,7 +17,16 @@ from heartcase.compiling.compile_ahead import Called, Progress, compiled_ahead, 
 from heartcase.pipeline.stages import table
 from heartcase.schemas.recipe.recipe import Recipe
 
-__all__ = ["LIST", "PROCESSES_MOST", "SCAN", "kernels_ahead", "kernels_needed", "kernels_of", "stages_taken"]
+__all__ = [
+    "LIST",
+    "PROCESSES_MOST",
+    "SCAN",
+    "kernels_ahead",
+    "kernels_in",
+    "kernels_needed",
+    "kernels_of",
+    "stages_taken",
+]
 
 LIST = Path(__file__).with_name("kernels.json")
 PROCESSES_MOST = 8
@@ -78,10 +87,15 @@ def kernels_of(stages: Collection[str]) -> tuple[Called, ...]:
     return tuple(one for stage, kernels in _listed().items() if stage in stages for one in kernels)
 
 
-@cache
 def _listed() -> dict[str, tuple[Called, ...]]:
     """Stage -> its kernels."""
-    data = json.loads(LIST.read_text(encoding="utf-8"))
+    return kernels_in(LIST)
+
+
+@cache
+def kernels_in(path: Path) -> dict[str, tuple[Called, ...]]:
+    """Kernels of a list, by who calls them first."""
+    data = json.loads(path.read_text(encoding="utf-8"))
     return {
         stage: tuple(Called(one["module"], one["name"], tuple(one["types"]), one["seconds"]) for one in kernels)
         for stage, kernels in data.items()

@@ -15,7 +15,7 @@ from heartcase.pipeline.markers.locks import Locks
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
 from heartcase.pipeline.watershed.forest import Box, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
-from heartcase.schemas.arrays import Int64, UInt8
+from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
 from heartcase.schemas.errors import MarkerError, UsageError, problems_from_validation
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
@@ -97,7 +97,7 @@ class SegmentationSession:
         self._locks = Locks((), self._forest.labels)
         self.right_places: tuple[RightPlace, ...] = ()
         # the lists that a first stroke would otherwise wait for
-        _ = tree.voxels, tree.neighbours
+        _ = tree.voxels, tree.neighbours, tree.hanging
 
     @classmethod
     def of_scan(
@@ -126,6 +126,48 @@ class SegmentationSession:
         settings = settings or SegmentSettings()
         tree = scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
         return cls(tree, filtered.geometry, table, markers=markers)
+
+    def put_off(self) -> None:
+        """Leave labels of many voxels for later, from now on: what is seen first can be asked for first.
+
+        Where a stroke changes many, :meth:`paint`, :meth:`extend`, :meth:`undo` and :meth:`redo` return None, and
+        :attr:`put_off_tiles` says where labels may have changed. Nothing that is asked for is ever of before:
+        :meth:`labels_of_boxes` works out what it needs, and all else works out the rest first.
+        """
+        self._forest.puts_off = True
+
+    def catch_up(self) -> None:
+        """Work out, of what is put off, what the next stroke needs: it would wait for it."""
+        self._forest.fill_levels()
+
+    @property
+    def put_off_tiles(self) -> Bool:
+        """Tiles of 32 voxels along each side with labels that are put off, bool, shape [z, y, x] of tiles; a copy."""
+        return self._forest.put_off.copy()
+
+    @property
+    def tile_stamps(self) -> Int64:
+        """By tile: higher, the later it was that a label which was put off turned out to be another one; a copy."""
+        return self._forest.stamps.copy()
+
+    def labels_of_boxes(self, boxes: Sequence[Box]) -> list[UInt8]:
+        """Labels in some boxes of slices [z, y, x], copies; what is put off elsewhere stays so.
+
+        Parameters
+        ----------
+        boxes
+            Within the scan. A tile is not put off any more where one of them is all of it.
+        """
+        self._forest.settle_boxes(boxes)
+        return [self._forest.labels[box].copy() for box in boxes]
+
+    def volumes_ml(self) -> Float64:
+        """Volume of each label value, ml, shape (256,), without working out what is put off."""
+        return self._forest.label_counts().astype(np.float64) * (self.geometry.voxel_volume_mm3 / 1000.0)
+
+    def marked_values(self) -> frozenset[int]:
+        """Values of the labels that any voxel is marked with."""
+        return frozenset(np.flatnonzero(self._forest.painted_counts()).tolist()) - {UNMARKED}
 
     def paint(self, stroke: Stroke, *, may_miss: bool = False) -> Box | None:
         """Mark, or erase, along a stroke.
@@ -226,8 +268,10 @@ class SegmentationSession:
     def labels(self) -> UInt8:
         """Label of every voxel, uint8, shape [z, y, x], read-only; 255 everywhere while nothing is marked.
 
-        It is the same array always, so what is read from it later is what holds then.
+        It is the same array always, so what is read from it later is what holds then; or, after :meth:`put_off`, what
+        held when this was asked last.
         """
+        self._forest.settle()
         view = self._forest.labels.view()
         view.flags.writeable = False
         return view
@@ -252,12 +296,15 @@ class SegmentationSession:
         place = 2 - AXES.index(axis)
         if not 0 <= index < self._forest.labels.shape[place]:
             raise UsageError(f"there is no slice {index} along {axis}: 0 to {self._forest.labels.shape[place] - 1}")
-        labels: UInt8 = np.take(self._forest.labels, index, axis=place)
-        return labels
+        k, j, i = (
+            slice(index, index + 1) if axis == place else slice(0, n)
+            for axis, n in enumerate(self._forest.labels.shape)
+        )
+        return self.labels_of_box((k, j, i)).squeeze(place)
 
     def labels_of_box(self, box: Box) -> UInt8:
         """Labels in a box of slices [z, y, x]: a copy."""
-        return self._forest.labels[box].copy()
+        return self.labels_of_boxes([box])[0]
 
     def take_changed(self) -> Box | None:
         """The box of all changes since this was asked last; None where nothing changed."""
@@ -307,13 +354,14 @@ class SegmentationSession:
         unknown = sorted(set(values) - set(self.table.values))
         if unknown:
             raise UsageError(f"value {unknown[0]} is not in the label table", place="lock")
-        self._locks = Locks(values, self._forest.labels)
+        self._locks = Locks(values, self.labels)
 
     def still(self) -> StillSegmentation:
         """The segmentation as it is now, copied: it can be looked at in another thread while painting goes on."""
         from heartcase.pipeline.markers.states import StillSegmentation
 
         forest = self._forest
+        forest.settle()
         names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
         copies = {name: getattr(forest, name).copy() for name in names}
         return StillSegmentation(replace(forest, **copies), self.geometry, self.table, self.right_places)
@@ -338,7 +386,7 @@ class SegmentationSession:
             Nothing is marked.
         """
         self._check_that_anything_is_marked()
-        return Segmentation(self._forest.labels.copy(), self.geometry, self.table)
+        return Segmentation(self.labels.copy(), self.geometry, self.table)
 
     def suggest(self, *, count: int = 5) -> StrokePlaces:
         """Where one more stroke would change most: see :func:`heartcase.pipeline.markers.suggest.suggest_strokes`.
@@ -356,10 +404,12 @@ class SegmentationSession:
         from heartcase.pipeline.markers.suggest import suggest_strokes
 
         self._check_that_anything_is_marked()
+        self._forest.settle()
         return suggest_strokes(self._forest, self.geometry, count=count, right=self.right_places)
 
     def _check_that_anything_is_marked(self) -> None:
-        if self._forest.labels.flat[0] == UNMARKED:
+        # with a marker anywhere every basin has a label
+        if self._forest.foot_label[0] == UNMARKED:
             raise MarkerError("no voxel of the scan is marked: paint first", place="markers")
 
     def _carry_out(self, stroke: Stroke, *, minds_locks: bool = True, may_miss: bool) -> Box | None:
@@ -387,7 +437,13 @@ class SegmentationSession:
         """Mark voxels, and what automatic markers follow from that; a box around the labels that changed."""
         if self._automatic is not None and len(voxels):
             voxels, values = self._automatic.paint(voxels, values)
-        return self._forest.restore(voxels, values)
+        box = self._forest.restore(voxels, values)
+        if self._locks.values and self._forest.put_off.any():
+            # locks look at every voxel
+            self._forest.settle()
+            k, j, i = (slice(0, n) for n in self._forest.labels.shape)
+            box = k, j, i
+        return box
 
     def _check_locks(self, value: int, box: Box | None, voxels: Int64, before: UInt8) -> None:
         """Take marks back that change a structure which is locked, and say which."""

@@ -68,7 +68,7 @@ def structure_states(still: StillSegmentation, *, places: StrokePlaces | None = 
         Label value -> state, of every label of the table.
     """
     forest = still.forest
-    marked = set(np.flatnonzero(np.bincount(forest.painted.ravel(), minlength=256)).tolist()) - {UNMARKED}
+    marked = set(np.flatnonzero(forest.painted_counts()).tolist()) - {UNMARKED}
     states = {
         label.value: StructureState.MARKED if label.value in marked else StructureState.NOTHING for label in still.table
     }
@@ -76,7 +76,7 @@ def structure_states(still: StillSegmentation, *, places: StrokePlaces | None = 
         return states
     if places is None:
         places = suggest_strokes(forest, still.geometry, count=PLACE_COUNT, right=still.right)
-    volumes = np.bincount(forest.labels.ravel(), minlength=256) * (still.geometry.voxel_volume_mm3 / 1000.0)
+    volumes = forest.label_counts() * (still.geometry.voxel_volume_mm3 / 1000.0)
     for value in sorted(marked & set(states)):
         worth = sum(place.worth_ml for place in places.places if value in (place.label, place.rival))
         is_unsure = worth > 0.0 and worth >= UNSURE_SHARE * volumes[value]

@@ -9,13 +9,15 @@ voxel; it is what a new way has to beat.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
+from heartcase.pipeline.watershed.hanging import PartedForest, solve_parted
 from heartcase.pipeline.watershed.incremental import mend, unmark
 from heartcase.pipeline.watershed.marks import (
     CONTESTED,
@@ -27,19 +29,32 @@ from heartcase.pipeline.watershed.marks import (
     own_key,
     reach,
 )
-from heartcase.pipeline.watershed.painting import paint_basins, paint_rows
+from heartcase.pipeline.watershed.painting import (
+    MARKED_BASIN,
+    TILE,
+    count_labels,
+    count_values,
+    paint_basins,
+    paint_boxes,
+    paint_rows,
+    tiles_of,
+)
 from heartcase.pipeline.watershed.plateaus import divide_flat
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
-from heartcase.schemas.arrays import Int16, Int64, UInt8
+from heartcase.schemas.arrays import Bool, Int16, Int32, Int64, UInt8
 
 __all__ = ["Box", "Forest", "solve_forest"]
 
 Box = tuple[slice, slice, slice]
 
 NO_FLAT = -1
-MOST_MENDED = 0.1
+MOST_MENDED = 0.005
 """Share of the feet that a label is carried to, or that hang on erased markers, at most; with more, solving anew is
 quicker."""
+MOST_AT_ONCE = 100_000
+"""Voxels in basins that changed that are painted at once where painting may be put off."""
+MOST_LISTED = 1_000_000
+"""Voxels in basins that changed up to which their tiles are looked up; with more, all are painted anew."""
 WHOLE_SHARE = 0.15
 """Share of the voxels in basins that changed from which on all voxels are painted anew: rows are quicker than lists."""
 
@@ -63,7 +78,22 @@ class Forest:
     flat_label: Int16
     """Label that marks each flat minimum: -1 none, -2 several."""
     labels: UInt8
-    """Label of each voxel."""
+    """Label of each voxel; in a tile that is put off, of some earlier moment."""
+    puts_off: bool = False
+    """Whether :meth:`paint` leaves the labels of many voxels to :meth:`settle` and :meth:`settle_boxes`, and levels to
+    the stroke that needs them."""
+    put_off: Bool = field(default_factory=lambda: np.zeros((0, 0, 0), np.bool_))
+    """Which tiles are put off, bool, shape [z, y, x] of tiles of 32 voxels along each side."""
+    stamps: Int64 = field(default_factory=lambda: np.zeros((0, 0, 0), np.int64))
+    """By tile: a number that is higher, the later a label that was put off turned out to be another one."""
+    _parted: PartedForest | None = None
+    _table: UInt8 | None = None
+    _painted_counts: Int64 | None = None
+
+    def __post_init__(self) -> None:
+        """Begin with nothing put off."""
+        self.put_off = np.zeros([-(-n // TILE) for n in self.tree.height.shape], np.bool_)
+        self.stamps = np.zeros(self.put_off.shape, np.int64)
 
     def paint(self, voxels: Int64, label: int) -> Box | None:
         """Mark voxels with a label, and mend the forest where that changes it.
@@ -84,20 +114,35 @@ class Forest:
         voxels = voxels[flat_painted[voxels] != label]
         if not len(voxels):
             return None
+        self.fill_levels()
+        self._table = None
+        if self._painted_counts is not None:
+            gone = np.bincount(flat_painted[voxels], minlength=256)
+            # a new array: a copy of the forest may have the old one
+            self._painted_counts = self._painted_counts - gone + len(voxels) * (np.arange(256) == label)
         flat_painted[voxels] = label
         tree = self.tree
         bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
         if is_flat_contested(bits, basin, tree.root, tree.flat, self.flat_label, voxels, label):
             return self.solve()
-        landscape = (bits, tree.direction.ravel(), basin, side_offsets(tree.height.shape))
         graph = (*tree.neighbours, tree.key, *tree.ends)
         feet = (self.marks.reshape(-1), self.foot_label, self.foot_level, self.lowest_mark)
         most = int(MOST_MENDED * tree.basin_count)
+        before = self.foot_label.copy()
         if label != UNMARKED:
-            changed = mend(landscape, graph, voxels, label, *feet, most)
+            changed = mend(self._landscape, graph, voxels, label, *feet, most)
         else:
-            changed = unmark(landscape, graph, tree.voxels, voxels, *feet, most)
-        return self._paint_basins(changed) if len(changed) else self.solve()
+            changed = unmark(self._landscape, graph, tree.voxels, voxels, *feet, most)
+        if len(changed):
+            return self._paint_basins(changed)
+        self._parted = solve_parted(tree, self._landscape, self.marks.reshape(-1), self.lowest_mark)
+        self._parted.fill_labels(self.foot_label)
+        if not self.puts_off:
+            self.fill_levels()
+            return self._paint_whole()
+        is_changed = self.foot_label != before
+        is_changed[basin[voxels]] = True
+        return self._paint_basins(np.flatnonzero(is_changed))
 
     def restore(self, voxels: Int64, values: UInt8) -> Box | None:
         """Mark voxels with labels of their own, or take their markers away (255); a box around what changed."""
@@ -121,14 +166,82 @@ class Forest:
         higher, lower = tree.ends
         first, second = tree.basins
         _solve(
-            (bits, tree.direction.ravel(), basin, side_offsets(tree.height.shape)),
+            self._landscape,
             (tree.key, higher, lower, first, second),
             self.marks.ravel(),
             self.lowest_mark,
             self.foot_label,
             self.foot_level,
         )
+        self._parted = self._table = None
         return self._paint_whole()
+
+    def label_counts(self) -> Int64:
+        """Number of voxels of each label, int64, shape (256,); nothing that was put off has to be settled for it."""
+        first_voxel, voxel_list = self.tree.voxels
+        _, direction, _, offsets = self._landscape
+        count: Int64 = count_labels(
+            first_voxel, voxel_list, direction, offsets, self.marks.reshape(-1), self.lowest_mark, self.foot_label
+        )
+        return count
+
+    def painted_counts(self) -> Int64:
+        """Number of voxels that are painted with each label, int64, shape (256,)."""
+        if self._painted_counts is None:
+            self._painted_counts = count_values(self.painted.reshape(-1))
+        return self._painted_counts.copy()
+
+    def settle(self) -> None:
+        """Work out all that was put off."""
+        self.fill_levels()
+        if self.put_off.any():
+            self._paint_whole()
+
+    def settle_boxes(self, boxes: Sequence[Box]) -> None:
+        """Work out the labels in some boxes [z, y, x]; what was put off elsewhere stays so.
+
+        Parameters
+        ----------
+        boxes
+            Within the volume. A tile is settled where one of them is all of it.
+        """
+        changed = np.zeros_like(self.put_off)
+        boxes = [box for box in boxes if self.put_off[_tiles_around(box)].any()]
+        if not boxes:
+            return
+        bounds = np.array([[[one.start, one.stop] for one in box] for box in boxes], np.int64)
+        if self._table is None:
+            self._table = self.foot_label.copy()
+            self._table[np.flatnonzero(self.lowest_mark >= 0)] = MARKED_BASIN
+        paint_boxes(
+            *_in_parts(bounds[..., 0], bounds[..., 1]),
+            self._table,
+            *self._landscape[1:],
+            self.marks.reshape(-1),
+            self.foot_label,
+            self.labels,
+            changed,
+        )
+        for box in boxes:
+            if all(
+                one.start % TILE == 0 and one.stop == min(one.start + TILE, n)
+                for one, n in zip(box, self.labels.shape, strict=True)
+            ):
+                self.put_off[_tiles_around(box)] = False
+        self.stamps[changed] = self.stamps.max() + 1
+
+    @property
+    def _landscape(self) -> tuple[Int32, UInt8, Int32, Int64]:
+        """Bits of the heights, directions, basins and offsets of sides, flat."""
+        tree = self.tree
+        bits, offsets = tree.height.view(np.int32).ravel(), side_offsets(tree.height.shape)
+        return bits, tree.direction.ravel(), tree.basin.ravel(), offsets
+
+    def fill_levels(self) -> None:
+        """Work out levels that were put off."""
+        if self._parted is not None:
+            self._parted.fill_levels(self.foot_level)
+            self._parted = None
 
     def _divide_flats(self, voxels: Int64) -> None:
         tree = self.tree
@@ -150,7 +263,14 @@ class Forest:
     def _paint_basins(self, changed: Int64) -> Box | None:
         tree = self.tree
         first_voxel, voxel_list = tree.voxels
-        if (first_voxel[changed + 1] - first_voxel[changed]).sum() > WHOLE_SHARE * self.labels.size:
+        count = int((first_voxel[changed + 1] - first_voxel[changed]).sum())
+        if self.puts_off and count > MOST_AT_ONCE:
+            if count > MOST_LISTED:
+                self.put_off[:] = True
+            else:
+                tiles_of(changed, first_voxel, voxel_list, self.labels.shape, self.put_off)
+            return None
+        if count > WHOLE_SHARE * self.labels.size:
             return self._paint_whole()
         low, high = paint_basins(
             changed,
@@ -167,6 +287,8 @@ class Forest:
         return _as_box(low, high)
 
     def _paint_whole(self) -> Box | None:
+        self.stamps[self.put_off] = self.stamps.max() + 1
+        self.put_off[:] = False
         rows = row_chunks(self.labels.shape)
         low, high = paint_rows(
             rows,
@@ -216,6 +338,24 @@ def _around_both(one: Box | None, other: Box | None) -> Box | None:
         return one or other
     k, j, i = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
     return k, j, i
+
+
+def _tiles_around(box: Box) -> Box:
+    k, j, i = (slice(one.start // TILE, -(-one.stop // TILE)) for one in box)
+    return k, j, i
+
+
+def _in_parts(low: Int64, high: Int64) -> tuple[Int64, Int64]:
+    """Boxes cut across their longest way through slices or rows, so that threads have about as much to do."""
+    lows, highs = [], []
+    for first, last in zip(low, high, strict=True):
+        axis = int((last - first)[:2].argmax())
+        for start in range(int(first[axis]), int(last[axis]), TILE):
+            part_first, part_last = first.copy(), last.copy()
+            part_first[axis], part_last[axis] = start, min(start + TILE, int(last[axis]))
+            lows.append(part_first)
+            highs.append(part_last)
+    return np.array(lows), np.array(highs)
 
 
 def _as_box(low: Int64, high: Int64) -> Box | None:

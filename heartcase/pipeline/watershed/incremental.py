@@ -129,7 +129,7 @@ def unmark(landscape, graph, voxel_lists, voxels, marks, foot_label, foot_level,
     """Take the markers of voxels away, and label what hung on them anew; the basins to paint anew.
 
     Only what hung on these markers can change: ways become longer, never shorter. ``most`` limits the number of feet to
-    be labelled; with more, nothing is done and the answer is empty.
+    be labelled; with more, the answer is empty, and the forest must be solved anew: its feet are the old ones.
     """
     bits, _, basin, _ = landscape
     first_voxel, voxel_list = voxel_lists
@@ -146,8 +146,6 @@ def unmark(landscape, graph, voxel_lists, voxels, marks, foot_label, foot_level,
     is_taken[touched] = False
     erased = set(voxels)
     feet = _feet_that_hang(landscape, graph, touched, erased, marks, foot_level, lowest_mark, is_taken, most)
-    if len(feet) > most:
-        return np.empty(0, np.int64)
     marks[voxels] = UNMARKED
     for b in touched:
         if lowest_mark[b] in erased:
@@ -157,6 +155,8 @@ def unmark(landscape, graph, voxel_lists, voxels, marks, foot_label, foot_level,
                 # of equally high voxels the one with the lower index comes first
                 if marks[v] != UNMARKED and (old < 0 or bits[v] < bits[old]):
                     lowest_mark[b] = v
+    if len(feet) > most:
+        return np.empty(0, np.int64)
     for b in feet:
         foot_label[b] = UNMARKED
         foot_level[b] = NO_KEY
@@ -266,7 +266,9 @@ def _solve_feet(feet, is_taken, landscape, graph, marks, foot_label, foot_level,
             foot.append(b)
             other_foot.append(joined)
             label_of.append(label)
-    following = np.arange(len(lowest_mark)).astype(np.int32)
+    following = np.empty(len(lowest_mark), np.int32)
+    for b in feet:
+        following[b] = b
     for n in np.argsort(np.array(when)):
         a, b = foot[n], other_foot[n]
         if b < 0:

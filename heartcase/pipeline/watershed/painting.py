@@ -10,7 +10,10 @@ from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.marks import mark_below
 
-__all__ = ["paint_basins", "paint_rows"]
+__all__ = ["TILE", "count_labels", "count_values", "paint_basins", "paint_boxes", "paint_rows", "tiles_of"]
+
+TILE = 32
+"""Voxels along a side of the tiles that labels may be put off in."""
 
 MARKED_BASIN = 254
 """In the table of the feet's labels: look at the voxel itself."""
@@ -80,3 +83,61 @@ def paint_rows(rows, direction, basin, offsets, marks, lowest_mark, foot_label, 
                 low[c, 0], low[c, 1], low[c, 2] = min(low[c, 0], k), min(low[c, 1], j), min(low[c, 2], first)
                 high[c, 0], high[c, 1], high[c, 2] = max(high[c, 0], k), max(high[c, 1], j), max(high[c, 2], last)
     return low, high
+
+
+@kernel(parallel=True)
+def paint_boxes(low, high, table, direction, basin, offsets, marks, foot_label, labels, is_changed):
+    """Label the voxels of boxes, from ``low`` to ``high`` - 1 (z, y, x); notes tiles in which that changed any."""
+    _, ny, nx = labels.shape
+    for n in numba.prange(len(low)):
+        for k in range(low[n, 0], high[n, 0]):
+            for j in range(low[n, 1], high[n, 1]):
+                row = labels[k, j]
+                begin = (k * ny + j) * nx
+                for i in range(low[n, 2], high[n, 2]):
+                    v = begin + i
+                    label = table[basin[v]]
+                    if label == MARKED_BASIN:
+                        mark = mark_below(v, direction, offsets, marks)
+                        label = mark if mark != UNMARKED else foot_label[basin[v]]
+                    if row[i] != label:
+                        row[i] = label
+                        # several threads may write the same
+                        is_changed[k // TILE, j // TILE, i // TILE] = True
+
+
+@kernel
+def tiles_of(changed, first_voxel, voxel_list, shape, is_in):
+    """Note the tiles that hold a voxel of some basins."""
+    _, ny, nx = shape
+    per_slice, per_row = 1.0 / (nx * ny), 1.0 / nx
+    for b in changed:
+        for n in range(first_voxel[b], first_voxel[b + 1]):
+            v = np.int64(voxel_list[n])
+            k = np.int64((v + 0.5) * per_slice)
+            rest = v - k * (nx * ny)
+            j = np.int64((rest + 0.5) * per_row)
+            is_in[k // TILE, j // TILE, (rest - j * nx) // TILE] = True
+
+
+@kernel
+def count_labels(first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label):
+    """How many voxels have each label, int64, shape (256,): what painting gives, whether or not it is done."""
+    count = np.zeros(256, np.int64)
+    for b in range(len(foot_label)):
+        if lowest_mark[b] < 0:
+            count[foot_label[b]] += first_voxel[b + 1] - first_voxel[b]
+            continue
+        for n in range(first_voxel[b], first_voxel[b + 1]):
+            mark = mark_below(np.int64(voxel_list[n]), direction, offsets, marks)
+            count[mark if mark != UNMARKED else foot_label[b]] += 1
+    return count
+
+
+@kernel
+def count_values(values):
+    """How many of each value there are, int64, shape (256,)."""
+    count = np.zeros(256, np.int64)
+    for value in values:
+        count[value] += 1
+    return count

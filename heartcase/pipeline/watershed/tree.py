@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -27,6 +28,9 @@ from heartcase.pipeline.watershed.descent import (
 from heartcase.pipeline.watershed.plateaus import flat_minima
 from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
 from heartcase.schemas.errors import StageError
+
+if TYPE_CHECKING:
+    from heartcase.pipeline.watershed.hanging import HangingTree
 
 __all__ = ["MOST_VOXELS", "BasinTree", "build_basin_tree", "restored_tree"]
 
@@ -94,6 +98,13 @@ class BasinTree:
         """Voxels of each basin, by ascending index: ``voxels[start[b]:start[b + 1]]`` for basin ``b``."""
         start, voxels = _voxel_lists(self.basin.ravel(), self.basin_count)
         return start, voxels
+
+    @cached_property
+    def hanging(self) -> HangingTree:
+        """What each basin hangs on while it is not marked: see :mod:`heartcase.pipeline.watershed.hanging`."""
+        from heartcase.pipeline.watershed.hanging import hanging_tree
+
+        return hanging_tree(self)
 
 
 def build_basin_tree(height: Float32) -> BasinTree:

@@ -1,19 +1,22 @@
-"""What was cut by now in a session that runs, and how the heart looked when nothing held it open."""
+"""What was done by now in a session that runs: its cuts, the heart when nothing held it open, what a recording has."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 from heartcase.schemas.arrays import Float32
-from heartcase.schemas.recording.commands import Cut
+from heartcase.schemas.recording.commands import Act, Cut, Entry
 from heartcase.simulator.incisions.held_open import ShownHeart
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.surface.deform import SurfaceModel, deform
 
-__all__ = ["CutsDone", "Moment"]
+__all__ = ["CutsDone", "Kept", "Moment"]
+
+_ACTS = get_args(Act)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,3 +66,24 @@ class CutsDone:
         if self.cuts and not frame.instruments and surface is not None:
             self.unheld = Moment(frame.model, surface, frame.state.displacement)
             self._unheld_cuts = self.cuts
+
+
+class Kept:
+    """What of a session a finished recording has."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._last: Entry | None = None
+
+    def note(self, session: OperatingSession) -> None:
+        """A recording of it was finished."""
+        self._count = len(session.entries)
+        self._last = session.entries[-1] if session.entries else None
+
+    def is_all_of(self, session: OperatingSession) -> bool:
+        """Whether all acts that are known are in a recording, or there are none."""
+        if session.is_as_recorded:
+            return True
+        entries, count = session.entries, self._count
+        is_same = len(entries) >= count and (count == 0 or entries[count - 1] is self._last)
+        return is_same and not any(isinstance(one.command, _ACTS) for one in entries[count:])

@@ -10,12 +10,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
 import numba
-import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest
@@ -32,13 +32,13 @@ from heartcase.schemas.recording.commands import (
     WithdrawProbe,
 )
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.live.cuts_done import CutsDone, Moment
+from heartcase.simulator.live.cuts_done import CutsDone, Kept, Moment
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals
-from heartcase.simulator.live.tool import Held, Turn
+from heartcase.simulator.live.instrument_places import held_by, places_mm, probe_axes_mm
+from heartcase.simulator.live.tool import Held
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
-from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 
 __all__ = ["FRAME_S", "Live", "LiveFrame", "moment_of"]
@@ -147,6 +147,7 @@ class Live:
         self._past: deque[tuple[float, int]] = deque()
         self._act_count = self._counted = 0
         self._cuts_done = CutsDone()
+        self._kept = Kept()
         self.newest = self._published(session.frame(surface=self._shows_surface))
 
     def start(self) -> None:
@@ -169,6 +170,32 @@ class Live:
         """Ask for commands; they are done before the next steps. What is refused is told as a message."""
         self._ask(commands)
 
+    def asked(self, command: Done | Navigation | None) -> Future[None]:
+        """Ask for a command; what comes of it: done, or the error for which it was refused. A cut is begun.
+
+        None asks for nothing: it comes when all that was asked for before is done.
+
+        One that is cancelled before it is its turn is not done.
+        """
+        found: Future[None] = Future()
+
+        def work() -> None:
+            # Whoever asked may have given it up by now.
+            if not found.set_running_or_notify_cancel():
+                return
+            try:
+                if command is not None:
+                    self._do(command)
+            except BaseException as error:
+                found.set_exception(error)
+                if not isinstance(error, HeartcaseError):
+                    raise
+            else:
+                found.set_result(None)
+
+        self._ask([work])
+        return found
+
     def lead(self, command: LeadGrab | MoveProbe, speed_mm_s: float) -> None:
         """Lead an instrument there no faster than so, mm for each simulated second."""
         self._ask([lambda: self._goals.set(command, speed_mm_s)])
@@ -184,6 +211,15 @@ class Live:
     def record(self, path: Path) -> None:
         """Record into a folder, from the session's start on, until :meth:`stop_recording` or :meth:`close`."""
         self._ask([lambda: self._begin_to_record(path)])
+
+    def make_cuts(self) -> None:
+        """Make the cuts that were begun, also while time stands."""
+        self._ask([lambda: self.session.make_cuts(wait=True)])
+
+    def settle(self, seconds: float) -> None:
+        """Wait until all is done that was asked for by now, but no longer than so, s."""
+        self._ask([(done := threading.Event()).set])
+        done.wait(seconds)
 
     def stop_recording(self) -> None:
         """Finish the recording."""
@@ -203,6 +239,11 @@ class Live:
     def is_leaving(self) -> bool:
         """Whether something lets go softly and is not done with it."""
         return bool(self._leaving) or bool(self._asked)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether nothing would be lost: all acts are in a recording that is finished, or there are none."""
+        return self._kept.is_all_of(self.session)
 
     def take_messages(self) -> list[str]:
         """What there is to be read since the last time."""
@@ -225,7 +266,7 @@ class Live:
             began = time.perf_counter()
             steps = self._steps_due(self._frame_s if self._ticked is None else began - self._ticked)
             self._ticked = began
-            motions = self._goals.commands(_places_mm(self.session.simulation), steps * self.session.simulation.step_s)
+            motions = self._goals.commands(places_mm(self.session.simulation), steps * self.session.simulation.step_s)
             frame = self.session.take(motions, steps, surface=self._shows_surface)
             for refusal in frame.refused:
                 self._messages.extend(str(problem) for problem in refusal.problems)
@@ -369,6 +410,7 @@ class Live:
         if recorder is not None:
             recorder.finish()
             if recorder.error is None:
+                self._kept.note(self.session)
                 self._messages.append(f"recorded in {recorder.path.name}")
 
     def _drop_recorder(self, error: RecordingError) -> None:
@@ -439,8 +481,8 @@ def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFram
         surface=simulation.surface,
         triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
         tissue_cuts=simulation.cuts,
-        held=_held(simulation),
-        probes=_probes(simulation),
+        held=held_by(simulation),
+        probes=probe_axes_mm(simulation),
         mode="paused",
         real_time_factor=None,
         steps_per_second=None,
@@ -448,35 +490,3 @@ def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFram
         recording=None,
         act_count=0,
     )
-
-
-def _places_mm(simulation: Simulation) -> dict[str, Float64]:
-    """Offset of each hand and centre of each probe, LPS mm, by name."""
-    model = simulation.model
-    places = {grab.name: model.to_mm(grab.pose.offset) for grab in simulation.grabs}
-    for probe in simulation.probes:
-        places[probe.name] = model.geometry.index_to_world(probe.centre - 0.5)
-    return places
-
-
-def _held(simulation: Simulation) -> tuple[Held, ...]:
-    model = simulation.model
-    to_world = model.geometry.direction_matrix
-    found = []
-    for grab in simulation.grabs:
-        centre_mm = model.geometry.index_to_world(grab.centre_at(grab.pose, model) - 0.5)
-        turn: Turn | None = None
-        if not np.array_equal(grab.pose.turn, np.eye(3)):
-            x, y, z = (to_world @ grab.pose.turn @ to_world.T).tolist()
-            turn = ((x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2]))
-        found.append(Held(grab.name, centre_mm, model.to_mm(grab.pose.offset), turn))
-    return tuple(found)
-
-
-def _probes(simulation: Simulation) -> dict[str, Float64]:
-    model = simulation.model
-    to_mm = model.geometry.direction_matrix * model.cell_mm
-    return {
-        probe.name: to_mm @ np.column_stack([probe.turn * probe.semi_axes, probe.half_axis])
-        for probe in simulation.probes
-    }

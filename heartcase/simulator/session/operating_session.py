@@ -133,6 +133,11 @@ class OperatingSession:
         return self._on_the_way is not None
 
     @property
+    def is_as_recorded(self) -> bool:
+        """Whether it came from a recording, and all that is known is in it."""
+        return self._stored is not None and self._stored_end == len(self.entries)
+
+    @property
     def end_step(self) -> int:
         """Last step that is known: behind the current one after going back."""
         if self.position == len(self.entries):

@@ -1,7 +1,8 @@
 """A case as one HTML file, which any browser opens from a folder or a website: looked at, pulled, recordings played.
 
 The file holds what the studio's server would send (:mod:`heartcase.studio.operating.packing`), compressed, and the
-page's modules as one script. Where the browser has WebGPU, the page steps the springs by itself.
+page's modules as one script. Where the browser has WebGPU, the page steps the springs by itself. In a site of several
+cases (:mod:`heartcase.studio.offline.site`) the same page takes its script and its case from files beside it.
 """
 
 from __future__ import annotations
@@ -9,9 +10,12 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -19,22 +23,38 @@ import numpy as np
 
 from heartcase.schemas.arrays import UInt8
 from heartcase.simulator.live.live import LiveFrame, moment_of
-from heartcase.simulator.live.shapes import Structures
+from heartcase.simulator.live.shapes import CUT_FACES, Structures
 from heartcase.simulator.load import Case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
 from heartcase.studio.offline.bundling import bundled_script
+from heartcase.studio.offline.shown import Shown
 from heartcase.studio.offline.spring_arrays import spring_arrays
 from heartcase.studio.operating.cell_labels import CellLabels
 from heartcase.studio.operating.packing import SCALE_LEAST, Rounded, frame_message, packed, topology_message
 from heartcase.studio.operating.viewer import described, patch_arrays
 
-__all__ = ["FRAMES_PER_SECOND", "Recorded", "web_page"]
+__all__ = [
+    "FRAMES_PER_SECOND",
+    "LINKED_POLICY",
+    "PAGE",
+    "Recorded",
+    "case_script",
+    "linked_page",
+    "viewer_script",
+    "viewer_style",
+    "web_page",
+]
 
 FRAMES_PER_SECOND = 10.0
 """Pictures in a second of a recording's simulated time."""
-_PAGE = Path(__file__).parents[1] / "page"
-_STYLES = ("style.css", "operating/operate.css")
+LINKED_POLICY = (
+    "default-src 'none'; script-src 'self' file: blob:; style-src 'self' file:; img-src 'self' file: data: blob:; "
+    "base-uri 'none'; form-action 'none'"
+)
+"""What a page of a site may load: files beside it. A page of a folder has no origin, so that 'self' is not enough."""
+PAGE = Path(__file__).parents[1] / "page"
+_STYLES = ("style.css", "operating/operate.css", "section/section.css", "offline/offline.css")
 _DAMPING_PER_S = 30.0
 """Damping of all movement that the page steps, 1/s; as where the studio's server does."""
 
@@ -49,25 +69,98 @@ class Recorded:
     """Its moments, ``frames_per_second`` of its simulated time, from its start on."""
 
 
-def web_page(case: Case, recordings: Sequence[Recorded] = (), *, frames_per_second: float = FRAMES_PER_SECOND) -> bytes:
+def web_page(
+    case: Case, shown: Shown, recordings: Sequence[Recorded] = (), *, frames_per_second: float = FRAMES_PER_SECOND
+) -> bytes:
     """The file of a case.
 
     Parameters
     ----------
     case
-        The case, loaded with its surface and structures; with ``cell_labels`` too for planes that cut it open.
+        The case, loaded with its surface; with ``cell_labels`` too for planes that cut it open.
+    shown
+        What else is shown of it, at the same level of detail.
     recordings
         Recordings of it.
     frames_per_second
         How many moments of a recording make a second of its simulated time.
     """
-    assert case.triangle_structures is not None
-    structures = Structures(case.manifest, case.triangle_structures)
+    data = _case_data(case, shown, recordings, frames_per_second)
+    style, script = viewer_style(), viewer_script()
+    policy = "; ".join(
+        [
+            "default-src 'none'",
+            f"script-src '{_hash_of(script)}' blob:",
+            f"style-src '{_hash_of(style)}'",
+            "img-src data: blob:",
+        ]
+    )
+    return _document(
+        {
+            "POLICY": policy,
+            "STYLE": f"<style>{style}</style>",
+            "BACK": "",
+            "CASE": "",
+            "SCRIPT": f'<script type="text/plain" id="case-data">{data}</script>\n<script>{script}</script>',
+        }
+    )
+
+
+def linked_page(*, style: str, script: str, case: str, back: str, back_word: str) -> bytes:
+    """The page of a case in a site.
+
+    Parameters
+    ----------
+    style, script
+        Addresses of :func:`viewer_style` and :func:`viewer_script`, from the page.
+    case
+        Address of the case's :func:`case_script`.
+    back, back_word
+        Where its link back leads, and the word of the page that stands there.
+    """
+    return _document(
+        {
+            "POLICY": LINKED_POLICY,
+            "STYLE": f'<link rel="stylesheet" href="{escape(style)}">',
+            "BACK": f'<a id="back" class="button" href="{escape(back)}" data-word="{escape(back_word)}"></a>',
+            "CASE": f' data-case="{escape(case)}"',
+            "SCRIPT": f'<script src="{escape(script)}" defer></script>',
+        }
+    )
+
+
+def case_script(
+    case: Case, shown: Shown, recordings: Sequence[Recorded] = (), *, frames_per_second: float = FRAMES_PER_SECOND
+) -> bytes:
+    """A script that hands a case to a page beside it: from a folder, a browser loads scripts but no data.
+
+    The parameters are those of :func:`web_page`.
+    """
+    data = _case_data(case, shown, recordings, frames_per_second)
+    return f'globalThis.heartcaseData = "{data}";\n'.encode("ascii")
+
+
+@cache
+def viewer_script() -> str:
+    """The page's modules as one script."""
+    return bundled_script(PAGE, "offline/main.js")
+
+
+@cache
+def viewer_style() -> str:
+    """The page's style."""
+    return "\n".join((PAGE / name).read_text(encoding="utf-8") for name in _STYLES)
+
+
+def _case_data(case: Case, shown: Shown, recordings: Sequence[Recorded], frames_per_second: float) -> str:
+    """What the page takes of a case, compressed, as text."""
+    structures = Structures(case.manifest, shown.of_triangles)
     labels = None if case.cell_labels is None else CellLabels(case)
     start = moment_of(OperatingSession(Simulation(case.model, surface=case.surface)))
     parts = _Parts()
     topology = topology_message(1, start, structures.of(start), cell_labels=_of(labels, start))
     first = [parts.number(topology), parts.number(_springs(case))]
+    first += [parts.number(_vessel(shown, name)) for name in shown.vessels]
     table = [
         {
             "name": recording.name,
@@ -76,29 +169,33 @@ def web_page(case: Case, recordings: Sequence[Recorded] = (), *, frames_per_seco
         for recording in recordings
     ]
     contents = {
-        "facts": _facts(case, structures, frames_per_second),
+        "facts": _facts(case, shown, structures, frames_per_second),
         "lengths": [len(part) for part in parts.all],
         "case": first,
         "recordings": table,
     }
     head = json.dumps(contents, allow_nan=False).encode()
     data = b"".join([len(head).to_bytes(4, "little"), head, *parts.all])
-    return _document(base64.b64encode(zlib.compress(data, 9)).decode("ascii"))
+    return base64.b64encode(zlib.compress(data, 6)).decode("ascii")
 
 
-def _facts(case: Case, structures: Structures, frames_per_second: float) -> dict[str, Any]:
+def _facts(case: Case, shown: Shown, structures: Structures, frames_per_second: float) -> dict[str, Any]:
     """What the page says of the case."""
     assert case.surface is not None
     model, manifest = case.model, case.manifest
     low, high = case.surface.rest_mm.min(axis=0), case.surface.rest_mm.max(axis=0)
+    cut = next(one for one in structures.all if one.number == CUT_FACES)
+    colour = "#{:02x}{:02x}{:02x}".format(*cut.colour)
+    looks = {"colour": colour, "safe": colour, "oxygen": colour, "blood": "unknown"}
+    faces = {"value": CUT_FACES, "name": cut.name, "part": "cut"} | looks
     return {
         "name": manifest.name,
         "notice": manifest.notice,
-        "structures": [
-            {"value": one.number, "name": one.name, "colour": "#{:02x}{:02x}{:02x}".format(*one.colour)}
-            for one in structures.all
-        ],
-        "tissue_inside": [] if case.cell_labels is None else CellLabels(case).inside(structures),
+        "structures": [*shown.structures, faces],
+        "landmarks": shown.landmarks,
+        "inside": shown.inside,
+        "axes": shown.axes,
+        "oxygen": shown.oxygen,
         "box_mm": [low.tolist(), high.tolist()],
         "place": {
             "origin_mm": model.geometry.index_to_world(np.zeros(3)).tolist(),
@@ -114,6 +211,13 @@ def _springs(case: Case) -> bytes:
     found = asdict(arrays)
     facts = found.pop("facts")
     return packed({"kind": "springs", "facts": facts}, found)
+
+
+def _vessel(shown: Shown, name: str) -> bytes:
+    tube = shown.vessels[name]
+    number = next(one["value"] for one in shown.structures if one["part"] == "vessel" and one["name"] == name)
+    arrays = {"vertices": tube.vertices_mm, "normals": tube.normals, "triangles": tube.triangles.astype(np.uint32)}
+    return packed({"kind": "vessel", "structure": number}, arrays)
 
 
 def _of(labels: CellLabels | None, moment: LiveFrame) -> UInt8 | None:
@@ -153,24 +257,10 @@ class _Parts:
         return self._numbers[digest]
 
 
-def _document(data: str) -> bytes:
-    """The page around the data; nothing runs in it but its own script."""
-    style = "\n".join((_PAGE / name).read_text(encoding="utf-8") for name in _STYLES)
-    script = bundled_script(_PAGE, "offline/main.js")
-    policy = "; ".join(
-        [
-            "default-src 'none'",
-            f"script-src '{_hash_of(script)}' blob:",
-            f"style-src '{_hash_of(style)}'",
-            "img-src data: blob:",
-        ]
-    )
+def _document(parts: Mapping[str, str]) -> bytes:
+    """The page with its parts put in; nothing runs in it but its own script."""
     document = (Path(__file__).parent / "offline.html").read_text(encoding="utf-8")
-    for name, content in (("POLICY", policy), ("STYLE", style), ("SCRIPT", script), ("DATA", data)):
-        before, after = document.split(f">{name}<" if name != "POLICY" else f'"{name}"')
-        around = ('"', '"') if name == "POLICY" else (">", "<")
-        document = f"{before}{around[0]}{content}{around[1]}{after}"
-    return document.encode("utf-8")
+    return re.sub(r"<!--(\w+)-->", lambda found: parts[found[1]], document).encode("utf-8")
 
 
 def _hash_of(text: str) -> str:

@@ -16,6 +16,7 @@ __all__ = [
     "Along",
     "Begin",
     "Coarser",
+    "Compare",
     "CutOpen",
     "Figures",
     "Hide",
@@ -27,13 +28,17 @@ __all__ = [
     "Play",
     "Point",
     "Recordings",
+    "Rename",
     "Replay",
     "Request",
     "Resize",
     "Run",
     "Seen",
+    "Slice",
     "Strain",
     "Take",
+    "TourTo",
+    "Tours",
     "Wheel",
     "parse_request",
 ]
@@ -42,6 +47,9 @@ _FAR_MM = 1e6
 """No eye is further away, and no number that says where it looks is larger."""
 _PERPENDICULAR_MAX = 1e-3
 """How far rows of the eye's axes may be from perpendicular and of unit length."""
+
+
+_RecordingName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class _Asked(Model):
@@ -208,6 +216,30 @@ class CutOpen(_Asked):
     """Where; null where it does not."""
 
 
+class Slice(_Asked):
+    """Show a slice of the scan."""
+
+    do: Literal["slice"]
+    """Which request."""
+    name: Literal["cut", "axial", "coronal", "sagittal"]
+    """Which of the page's slices; it comes with the picture."""
+    point_mm: PointMm
+    """A point of its plane, LPS mm."""
+    right: Direction
+    """To the picture's right, LPS, unit length."""
+    down: Direction
+    """Down the picture, LPS, unit length."""
+
+    @model_validator(mode="after")
+    def _is_a_plane(self) -> Slice:
+        if np.abs([self.point_mm, self.right, self.down]).max() > _FAR_MM:
+            raise ValueError(f"a slice is at most {_FAR_MM:g} mm away")
+        axes = np.array([self.right, self.down])
+        if np.abs(axes @ axes.T - np.eye(2)).max() > _PERPENDICULAR_MAX:
+            raise ValueError("the axes of a picture are perpendicular and of unit length")
+        return self
+
+
 class Strain(_Asked):
     """Send how far the tissue is stretched, too."""
 
@@ -215,6 +247,24 @@ class Strain(_Asked):
     """Which request."""
     shown: bool
     """Whether it is wanted."""
+
+
+class Tours(_Asked):
+    """Name the guided tours of this case, with all that they say and show."""
+
+    do: Literal["tours"]
+    """Which request."""
+
+
+class TourTo(_Asked):
+    """Bring the session to where a step of a tour leaves it; nowhere, where the tour is left."""
+
+    do: Literal["tour"]
+    """Which request."""
+    tour: Annotated[int, Field(ge=0, le=100)]
+    """Number of the tour, from 0, as they were named."""
+    step: Annotated[int, Field(ge=0, le=100)] | None = None
+    """Number of the step, from 0; None leaves the tour."""
 
 
 class Coarser(_Asked):
@@ -255,6 +305,26 @@ class HoldOpen(_Asked):
     """Which of the cuts, from 0."""
 
 
+class Compare(_Asked):
+    """Work out the figures of recordings, side by side."""
+
+    do: Literal["compare"]
+    """Which request."""
+    names: Annotated[tuple[_RecordingName, ...], Field(min_length=1, max_length=6)]
+    """Names that were given for them."""
+
+
+class Rename(_Asked):
+    """Give a recording another name."""
+
+    do: Literal["rename"]
+    """Which request."""
+    name: _RecordingName
+    """One of the names that were given."""
+    to: Annotated[str, Field(pattern=r"^\w[\w ()+,-]{0,79}$")]
+    """Its new name, without an ending."""
+
+
 class Seen(Model):
     """A frame was taken: another may follow. It has no answer."""
 
@@ -279,11 +349,16 @@ Request = (
     | Begin
     | Hide
     | CutOpen
+    | Slice
     | Strain
+    | Tours
+    | TourTo
     | Coarser
     | Figures
     | Planned
     | HoldOpen
+    | Compare
+    | Rename
     | Seen
 )
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])

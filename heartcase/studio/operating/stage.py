@@ -29,6 +29,7 @@ from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
 from heartcase.studio.operating.packing import packed, stretch_bytes
+from heartcase.studio.operating.surroundings import cannulae
 
 __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 
@@ -37,6 +38,8 @@ DAMPING_PER_S = 30.0
 _SLOWEST_FRAME_S = 1.0 / 30.0
 """How long a frame takes at most where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
+_KEEP_S = 60.0
+"""Longest time that is waited for a recording to be written, s."""
 
 
 class Stage:
@@ -77,6 +80,7 @@ class Stage:
         self._heard = heard
         self.normal_map = normal_map
         self._sha256 = sha256
+        self._cannulae = cannulae(case)
         self._axes = axes or {"planes": {}, "centre_mm": None}
         self.structures = Structures(case.manifest, case.triangle_structures)
         self.cell_labels = CellLabels(case)
@@ -87,6 +91,11 @@ class Stage:
         self.incisions = Incisions(case)
         self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
         self.live = self._started(self._new_session())
+
+    @property
+    def case(self) -> Case:
+        """The case that was loaded."""
+        return self._case
 
     def close(self) -> None:
         """End the session; a recording is finished."""
@@ -112,9 +121,7 @@ class Stage:
         HeartcaseError
             There is no such recording, or it is not of this case; the session goes on.
         """
-        if name not in self._found():
-            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
-        recording = open_recording(self._out / name)
+        recording = open_recording(self._out / self.known(name))
         case = self._case
         session = load_session(recording, case.model, surface=case.surface, tissue=case.tissue)
         self.live.close()
@@ -123,6 +130,38 @@ class Stage:
     def recordings(self) -> list[str]:
         """Names of the recordings that are there, the newest first."""
         return sorted(self._found(), key=lambda name: (self._out / name).stat().st_mtime, reverse=True)
+
+    def known(self, name: str) -> str:
+        """The name of a recording that is there.
+
+        Raises
+        ------
+        RecordingError
+            There is none of this name.
+        """
+        if name not in self._found():
+            raise RecordingError("there is no recording of this name: look at the list again", place="recording")
+        return name
+
+    def rename(self, name: str, to: str) -> None:
+        """Give a recording another name, without its ending.
+
+        Raises
+        ------
+        RecordingError
+            There is no such recording, it is being written, or the name is taken.
+        """
+        path, new = self._out / self.known(name), self._out / f"{to.strip()}.recording"
+        if self.live.newest.recording == name:
+            raise RecordingError("it is being recorded: end the recording first", place="recording")
+        if new.exists():
+            raise RecordingError("there is already a recording of this name: choose another", place="recording")
+        try:
+            path.rename(new)
+        except OSError as error:
+            raise RecordingError(
+                f"it cannot be renamed: {error.strerror or 'no reason given'}", place="recording"
+            ) from None
 
     def record(self) -> None:
         """Record what is done, from the session's start on, under the next free name."""
@@ -133,6 +172,36 @@ class Stage:
             if path.name not in there and not path.exists():
                 self.live.record(path)
                 return
+
+    def keep(self) -> str | None:
+        """Write what was done into a recording where no recording has it yet, and wait for it.
+
+        Nothing else may be asked meanwhile.
+
+        Returns
+        -------
+        str or None
+            The recording's name; None where there was nothing to be kept.
+
+        Raises
+        ------
+        RecordingError
+            It cannot be kept.
+        """
+        live = self.live
+        if live.newest.frame.coming_cuts:
+            live.make_cuts()
+            live.settle(_KEEP_S)
+        if live.is_kept:
+            return None
+        before = set(self._found())
+        self.record()
+        live.stop_recording()
+        live.settle(_KEEP_S)
+        made = sorted(set(self._found()) - before)
+        if not live.is_kept or not made:
+            raise RecordingError("what was done cannot be written", place="recording")
+        return made[0]
 
     def spare_a_processor(self) -> None:
         """Leave a processor to a browser of this machine that draws without a graphics card."""
@@ -217,6 +286,7 @@ class Stage:
             "tissue_inside": self.cell_labels.inside(self.structures),
             "cut_faces": CUT_FACES,
             "heart_axes": self._axes,
+            "cannulae": self._cannulae,
             "tools": [
                 {"key": tool.key, "size_words": tool.size_words, "size": tool.size, "sizes": tool.sizes}
                 for tool in TOOLS

@@ -5,19 +5,24 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from heartcase.schemas.errors import RecordingError, UsageError
+from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
+from heartcase.studio.idle import FREE_AFTER_S, Idle
 from heartcase.studio.messages import problems_of, text_message, told
+from heartcase.studio.operating.packing import packed
+from heartcase.studio.operating.plans import ComparedPlans
 from heartcase.studio.operating.requests import (
     Act,
     Along,
     Begin,
     Coarser,
+    Compare,
     CutOpen,
     Figures,
     Hide,
@@ -27,21 +32,27 @@ from heartcase.studio.operating.requests import (
     Play,
     Point,
     Recordings,
+    Rename,
     Replay,
     Request,
     Resize,
     Run,
     Seen,
+    Slice,
     Strain,
     Take,
+    Tours,
+    TourTo,
     Wheel,
     parse_request,
 )
+from heartcase.studio.operating.scan_slices import ScanSlices, has_scan, open_scan
 from heartcase.studio.operating.stage import Stage, open_stage
+from heartcase.studio.operating.tour_leading import TourLeading
 from heartcase.studio.operating.viewer import Viewer
 from heartcase.studio.pages import Page
 
-__all__ = ["Theatre"]
+__all__ = ["Origin", "Theatre"]
 
 T = TypeVar("T")
 
@@ -51,7 +62,19 @@ _LOOK_S = 0.05
 _LOOK_EVERY_S = 1.0
 """How often it is looked whether the case was built anew."""
 _OLDER = "the case was built anew, and what is shown is the one before: begin anew to see the new one"
+_FREED = "no page had this case open for {minutes:.0f} minutes, and it was closed: this is its beginning"
+_KEPT = _FREED + "; what was done is kept in the recording {name}: replay it to go on"
 _BUILT_ANEW = "the case was built anew: this is the new one, and the session on the one before has ended"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The recipe that a case was built from."""
+
+    recipe: Path
+    """Its file; never told to a page."""
+    address: str
+    """Path of its page in this server's addresses."""
 
 
 class Theatre:
@@ -66,11 +89,18 @@ class Theatre:
         The case's folder.
     out
         Folder that recordings are put into.
+    origin
+        The recipe that it was built from, where it was opened from one: tours may stand beside it.
     """
 
-    def __init__(self, case: Path, *, out: Path) -> None:
+    def __init__(self, case: Path, *, out: Path, origin: Origin | None = None) -> None:
         self._case = case
         self._out = out
+        self.origin = origin
+        self._tours = TourLeading(self._tour_folders, self._problems, self._begin)
+        self._scan: tuple[Stage, Path | None, ScanSlices] | None = None
+        self._slicing = ThreadPoolExecutor(1, thread_name_prefix="theatre-slices")
+        self._slices: set[asyncio.Task[None]] = set()
         self._stage: Stage | None = None
         self._viewers: dict[Page, Viewer] = {}
         self._waiting: set[Page] = set()
@@ -82,6 +112,13 @@ class Theatre:
         self._watching: asyncio.Task[None] | None = None
         self._resting: asyncio.Task[None] | None = None
         self._rests = False
+        self._idle = Idle(self._free)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._plans = ComparedPlans(case, out, self._hear_of_plans)
+        self._freed: str | None = None
+
+    def _tour_folders(self) -> tuple[Path, ...]:
+        return (self._case.parent, *(() if self.origin is None else (self.origin.recipe.parent,)))
 
     async def join(self, page: Page) -> None:
         """Show a page the case, and then each moment."""
@@ -103,6 +140,7 @@ class Theatre:
                     self._rest_if_alone(stage)
                     return
                 self._greet(page, stage)
+                self._idle.end()
             except Exception as error:
                 page.send(text_message("failed", problems=self._problems(error)))
                 return
@@ -114,6 +152,9 @@ class Theatre:
             if self._rests:
                 self._rests = False
                 stage.live.pause(False)
+            if self._freed is not None:
+                self._tell(text_message("message", text=self._freed))
+                self._freed = None
             self._news.set()
 
     async def _newest_stage(self) -> tuple[Stage, bool]:
@@ -138,7 +179,12 @@ class Theatre:
 
     def _greet(self, page: Page, stage: Stage) -> None:
         """Let a page look at a stage, from its beginning."""
-        page.send(text_message("opened", **stage.greeting()))
+        origin = self.origin
+        more = {
+            "recipe": None if origin is None else origin.address,
+            "scan": has_scan(self._case, None if origin is None else origin.recipe),
+        }
+        page.send(text_message("opened", **stage.greeting(), **more))
         if (picture := stage.picture_message()) is not None:
             page.send(picture)
         self._viewers[page] = Viewer(stage)
@@ -169,12 +215,18 @@ class Theatre:
                 viewer.seen(request.frame)
                 self._news.set()
                 return
+            if isinstance(request, Slice):
+                # the scan may have to be read first: what is done meanwhile does not wait for it
+                task = asyncio.create_task(self._send_slice(page, request, stage))
+                self._slices.add(task)
+                task.add_done_callback(self._slices.discard)
+                return
             async with self._turn:
                 # What it looked at when it asked may be closed by now.
                 viewer, stage = self._viewers.get(page), self._stage
                 if viewer is None or stage is None:
                     raise UsageError("the case is not open", place="case")
-                answer = await self._do(request, viewer, stage)
+                answer = await self._do(request, viewer, stage, page)
                 viewer = self._viewers.get(page, viewer)
         except Exception as error:
             page.send(text_message("refused", id=request_id(text), problems=self._problems(error)))
@@ -187,12 +239,43 @@ class Theatre:
         }
         page.send(text_message("done", id=request.id, **own, **answer))
 
+    async def _send_slice(self, page: Page, request: Slice, stage: Stage) -> None:
+        """Show a page a slice of the scan."""
+        recipe = None if self.origin is None else self.origin.recipe
+        try:
+            found = await asyncio.get_running_loop().run_in_executor(
+                self._slicing, lambda: self._slice(request, stage, recipe)
+            )
+        except Exception as error:
+            page.send(text_message("refused", id=request.id, problems=self._problems(error)))
+            return
+        page.send(found)
+        page.send(text_message("done", id=request.id, tool="", size=None, line_mm=[]))
+
+    def _slice(self, request: Slice, stage: Stage, recipe: Path | None) -> bytes:
+        if self._scan is None or self._scan[:2] != (stage, recipe):
+            self._scan = None
+            self._scan = stage, recipe, open_scan(self._case, recipe)
+        shown = self._scan[2].through(request.point_mm, request.right, request.down)
+        header = {
+            "kind": "slice",
+            "name": request.name,
+            "origin_mm": shown.origin_mm.tolist(),
+            "right": request.right,
+            "down": request.down,
+            "width_mm": shown.width_mm,
+            "height_mm": shown.height_mm,
+        }
+        return packed(header, {"greys": shown.greys})
+
     async def close(self) -> None:
         """End the session: what was begun is made, and what is recorded is finished."""
         self._waiting.clear()
+        self._idle.close()
         for page in tuple(self._viewers):
             await self.leave(page)
             page.close()
+        self._tours.stop()
         async with self._turn:
             for task in (self._resting, self._work, self._watching):
                 if task is not None:
@@ -200,10 +283,12 @@ class Theatre:
             stage, self._stage = self._stage, None
             if stage is not None:
                 await self._run(stage.close)
+        await self._run(self._plans.close)
         self._thread.shutdown()
+        self._slicing.shutdown(wait=False, cancel_futures=True)
 
     def _open(self) -> Callable[[], Stage]:
-        loop = asyncio.get_running_loop()
+        loop = self._loop = asyncio.get_running_loop()
 
         def heard() -> None:
             # The session's thread may end after the loop did.
@@ -212,7 +297,7 @@ class Theatre:
 
         return lambda: open_stage(self._case, out=self._out, heard=heard)
 
-    async def _do(self, request: Request, viewer: Viewer, stage: Stage) -> dict[str, Any]:
+    async def _do(self, request: Request, viewer: Viewer, stage: Stage, page: Page) -> dict[str, Any]:
         """Carry a request out; what else its answer says."""
         hands, live = viewer.hands, stage.live
         match request:
@@ -251,15 +336,19 @@ class Theatre:
                     live.stop_recording()
             case Recordings():
                 return {"recordings": await self._run(stage.recordings)}
+            case Tours():
+                return await self._run(lambda: self._tours.listed(stage))
+            case TourTo():
+                self._tours.lead(page, stage, request.tour, request.step)
             case Replay() | Begin():
+                self._tours.stop()
                 name = request.name if isinstance(request, Replay) else None
-                if name is None and (await self._newest_stage())[1]:
+                newest, is_another = await self._newest_stage()
+                if name is None and is_another:
                     return {}
-                await self._run(lambda: stage.begin() if name is None else stage.replay(name))
-                self._tell_all_of(live)
-                for one in self._viewers.values():
-                    one.begin_anew()
-                self._news.set()
+                live = newest.live
+                await self._run(lambda: newest.begin() if name is None else newest.replay(name))
+                self._show_begun(live)
             case Hide():
                 viewer.hidden = frozenset(request.structures)
             case CutOpen():
@@ -284,7 +373,30 @@ class Theatre:
                 await self._run(lambda: stage.cut_planned(request.incision))
             case HoldOpen():
                 await self._run(lambda: stage.hold_open(request.incision))
+            case Compare():
+                names = await self._run(lambda: [stage.known(name) for name in request.names])
+                # it takes seconds for each of them: the processors are for that
+                live.pause(True)
+                await self._run(lambda: self._plans.compare(names))
+            case Rename():
+                await self._run(lambda: stage.rename(request.name, request.to))
+                return {"recordings": await self._run(stage.recordings)}
         return {}
+
+    async def _begin(self, stage: Stage) -> None:
+        """Begin anew with the case that is open, for a tour that lost its way."""
+        async with self._turn:
+            if self._stage is stage:
+                live = stage.live
+                await self._run(stage.begin)
+                self._show_begun(live)
+
+    def _show_begun(self, before: Live) -> None:
+        """Pages look at another session than before."""
+        self._tell_all_of(before)
+        for one in self._viewers.values():
+            one.begin_anew()
+        self._news.set()
 
     async def _update_figures(self) -> None:
         stage, is_wanted = self._stage, any(one.wants_figures for one in self._viewers.values())
@@ -332,10 +444,12 @@ class Theatre:
 
     async def _watch(self) -> None:
         """Tell pages once that the case they look at is no longer the one that lies there."""
-        told = None
+        told = stage = None
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
             stage = self._stage
+            if stage is None:
+                told = None
             if stage is None or stage is told or not self._viewers:
                 continue
             if not await self._run(partial(stage.is_of, self._case)) and self._stage is stage:
@@ -359,6 +473,29 @@ class Theatre:
     def _rest_if_alone(self, stage: Stage) -> None:
         if not self._viewers and self._resting is None:
             self._resting = asyncio.create_task(self._rest(stage))
+            self._idle.begin()
+
+    async def _free(self) -> None:
+        """Nobody had it open for long: leave it, unless it is recorded, or what was done cannot be kept."""
+        async with self._turn:
+            stage = self._stage
+            if stage is None or self._viewers or self._waiting or stage.live.newest.recording is not None:
+                return
+            try:
+                name = await self._run(stage.keep)
+            except HeartcaseError:
+                return
+            if self._stage is not stage:
+                return
+            words = _FREED if name is None else _KEPT
+            shown = None if name is None else name.removesuffix(".recording")
+            self._freed = words.format(minutes=FREE_AFTER_S / 60.0, name=shown)
+            if self._work is not None:
+                self._work.cancel()
+            # an ended task would hold on to what it worked on
+            self._stage = self._work = self._resting = None
+            await self._run(self._plans.close)
+            await self._run(stage.close)
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""
@@ -382,6 +519,12 @@ class Theatre:
     def _tell(self, message: str) -> None:
         for page in self._viewers:
             page.send(message)
+
+    def _hear_of_plans(self) -> None:
+        """Called by any thread: what is compared is told to all pages."""
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(lambda: self._tell(self._plans.message()))
 
     def _problems(self, error: BaseException) -> list[dict[str, str]]:
         """What a page is told of an error; not where on this machine the case lies."""

@@ -9,6 +9,7 @@ import { Status } from "./panel/status.js";
 import { Structures } from "./panel/structures.js";
 import { runHelp, runTabs, runTiles } from "./panel/tiles.js";
 import { runToolbar } from "./panel/toolbar.js";
+import { Seen } from "./pictures/seen.js";
 import { NoGraphics, Views } from "./pictures/views.js";
 import { TooLarge } from "./pictures/volume.js";
 import { Connection, Lost, Refused } from "./shared/connection.js";
@@ -54,6 +55,7 @@ function run() {
   studio.tool.listen((tool) => {
     if (tool !== "shape") hands.drop();
   });
+  const seen = new Seen(views, studio, (request) => connection.ask(request), (error) => fault(error));
   const preview = runPreview(views, (request) => connection.ask(request), (error) => fault(error));
   hands.lookAt = (mm) => views.lookAt(mm);
   hands.labelValueAt = (voxel) => views.volume?.labelAt(voxel) ?? null;
@@ -140,8 +142,10 @@ function run() {
       studio.undoKind.value = message.undo_kind;
       studio.redoKind.value = message.redo_kind;
       studio.saved.value = message.saved;
+      seen.tell(message.rest === true);
       guide.forget();
-    } else if (message.kind === "failed") {
+    } else if (message.kind === "seen") seen.tell(message.rest === true);
+    else if (message.kind === "failed") {
       connection.end();
       studio.ready.value = false;
       status.stop("failed", message.problems ?? []);
@@ -180,6 +184,8 @@ function run() {
       preview.take(/** @type {any} */ (header), bytes);
     } else if (header.kind === "labels") {
       views.setLabels(header.low, header.size, bytes);
+    } else if (header.kind === "boxes") {
+      views.setBoxes(header.boxes, bytes);
     }
     if (!studio.ready.value && views.volume.isComplete) {
       views.redraw();

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.toml_places import Place
-from heartcase.studio.messages import labels_message, scan_message, surface_message, text_message
+from heartcase.studio.messages import boxes_message, labels_message, scan_message, surface_message, text_message
 from heartcase.studio.painting.drafts import Draft
 from heartcase.studio.painting.locks import lock_again, lock_label
 from heartcase.studio.painting.place_picture import place_picture
@@ -34,13 +34,16 @@ from heartcase.studio.painting.requests import (
     Extend,
     History,
     Lock,
+    Look,
     Paint,
     Picture,
     Planes,
     Request,
+    Rest,
     Suggest,
 )
 from heartcase.studio.painting.right_places import confirm_again, confirm_place
+from heartcase.studio.painting.shown import Shown, planes_in_voxels
 from heartcase.studio.shaping.facts import shaping_facts
 from heartcase.studio.shaping.requests import Add, Change, FindEnds, Preview, Propose, Remove, Set
 from heartcase.studio.shaping.shaping import Shaping
@@ -58,6 +61,8 @@ _WINDOW_PERCENTILES = (1.0, 99.5)
 class Answer:
     """What comes of a request."""
 
+    for_each: Mapping[object, tuple[bytes, ...]] = field(default_factory=dict)
+    """Messages for some pages alone, before all others."""
     for_all: tuple[str | bytes, ...] = ()
     """Messages for every page on the recipe, in this order."""
     done: str | None = None
@@ -87,6 +92,8 @@ class Painting:
         self._drawn_by: object | None = None
         self._locks = locks
         self._right = locks.with_name(locks.name.replace(".locks.", ".right."))
+        self._shown: dict[object, Shown] = {}
+        opened.session.put_off()
         lock_again(opened.session, locks)
         confirm_again(opened.session, self._right)
 
@@ -128,7 +135,7 @@ class Painting:
             self._structures(),
         )
 
-    def do(self, request: Request, page: object) -> Answer:
+    def do(self, request: Request, page: object, pages: Collection[object] = ()) -> Answer:
         """Carry a request out.
 
         Parameters
@@ -137,6 +144,8 @@ class Painting:
             What is asked.
         page
             Who asks: a stroke goes on for the page that began it.
+        pages
+            All that look at the recipe.
 
         Raises
         ------
@@ -149,22 +158,22 @@ class Painting:
                 self._close_stroke()
                 box = session.paint(request.stroke)
                 self._drawn_by = page
-                return self._painted(request, box)
+                return self._painted(request, box, pages)
             case Extend():
                 if self._drawn_by is not page:
                     raise UsageError("there is no stroke to go on with: begin one", place="extend")
-                return self._painted(request, session.extend(request.points_mm))
+                return self._painted(request, session.extend(request.points_mm), pages)
             case End():
                 if self._drawn_by is page:
                     self._close_stroke()
-                return Answer((self._structures(), self._done()), self._done(request))
+                return self._told(request, self._structures())
             case History():
                 self._close_stroke()
-                return self._step(request)
+                return self._step(request, pages)
             case Add() | Change() | Remove() | Set():
                 self._close_stroke()
                 self._shaping.act(request)
-                return Answer((self._shape(), self._structures(), self._done()), self._done(request))
+                return self._told(request, self._shape(), self._structures())
             case Propose():
                 return Answer(done=text_message("proposal", id=request.id, **self._shaping.propose(request)))
             case FindEnds():
@@ -181,11 +190,19 @@ class Painting:
             case Lock():
                 self._close_stroke()
                 lock_label(session, request.label, is_locked=request.locked, file=self._locks)
-                return Answer((self._structures(), self._done()), self._done(request))
+                return self._told(request, self._structures())
             case Picture():
                 scan = self._opened.scan
                 url = place_picture(scan, session.labels, session.table, request.position_mm, _window(scan))
                 return Answer(done=text_message("picture", id=request.id, url=url))
+            case Look():
+                shown = self._shown.setdefault(page, Shown(session))
+                shown.look(planes_in_voxels(request.planes, session.geometry))
+                return Answer({page: shown.in_sight()}, done=self._seen(request, shown))
+            case Rest():
+                session.catch_up()
+                shown = self._shown.setdefault(page, Shown(session))
+                return Answer({page: shown.rest()}, done=self._seen(request, shown))
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
 
@@ -223,6 +240,7 @@ class Painting:
 
         When the last one goes, a stroke that could not be saved before is saved.
         """
+        self._shown.pop(page, None)
         return self.save() if self._drawn_by is page or is_last else ()
 
     def save(self) -> tuple[str, ...]:
@@ -232,25 +250,42 @@ class Painting:
         self._close_stroke()
         return self._structures(), self._done()
 
-    def _step(self, request: History) -> Answer:
+    def _step(self, request: History, pages: Collection[object]) -> Answer:
         """Take the last act back, or do the next one again."""
         session, history = self._opened.session, self._history
         act = history.undo() if request.do == "undo" else history.redo()
         if act.kind != STROKE:
-            return Answer((self._shape(), self._structures(), self._done()), self._done(request))
-        answer = self._painted(request, session.undo() if request.do == "undo" else session.redo())
-        return Answer((*answer.for_all, self._structures()), answer.done)
+            return self._told(request, self._shape(), self._structures())
+        answer = self._painted(request, session.undo() if request.do == "undo" else session.redo(), pages)
+        return replace(answer, for_all=(*answer.for_all, self._structures()))
 
     def _shape(self) -> str:
         return text_message("shape", **self._shaping.shape())
 
-    def _painted(self, request: Request, box: Box | None) -> Answer:
-        shown = () if box is None else (labels_message(self._opened.session.labels, box),)
-        return Answer((*shown, self._done()), self._done(request))
+    def _told(self, request: Request, *messages: str) -> Answer:
+        return Answer(for_all=(*messages, self._done()), done=self._done(request))
+
+    def _painted(self, request: Request, box: Box | None, pages: Collection[object]) -> Answer:
+        """Labels that changed in a box or are put off: each page is sent what it shows, and may ask for the rest."""
+        session = self._opened.session
+        if (put_off := session.put_off_tiles).any():
+            for shown in self._shown.values():
+                shown.note(put_off)
+            if not self._shown.keys() >= set(pages):
+                # who does not say what it shows is sent everything
+                k, j, i = (slice(0, n) for n in session.labels.shape)
+                box = k, j, i
+        labels = () if box is None else (boxes_message([box], session.labels_of_boxes([box])),)
+        in_sight = {page: shown.in_sight() for page, shown in self._shown.items() if shown.has_rest}
+        return Answer(in_sight, (*labels, self._done()), self._done(request))
 
     def _done(self, request: Request | None = None) -> str:
         number = {} if request is None else {"id": request.id}
-        return text_message("done", **number, **self._counts())
+        rest = any(shown.has_rest for shown in self._shown.values())
+        return text_message("done", **number, **self._counts(), rest=rest)
+
+    def _seen(self, request: Look | Rest, shown: Shown) -> str:
+        return text_message("seen", id=request.id, rest=shown.has_rest)
 
     def _counts(self) -> dict[str, Any]:
         history, is_saved = self._history, self._is_saved
@@ -275,8 +310,7 @@ class Painting:
 
     def _structures(self) -> str:
         session = self._opened.session
-        found = np.bincount(session.labels.ravel(), minlength=256) * (session.geometry.voxel_volume_mm3 / 1000.0)
-        marked = set(np.flatnonzero(np.bincount(session.marked.ravel(), minlength=256)).tolist()) - {UNMARKED}
+        found, marked = session.volumes_ml(), session.marked_values()
         names = {label.value: label.name for label in session.table}
         return text_message(
             "structures",
@@ -286,7 +320,7 @@ class Painting:
             checklist=self._checklist(marked),
         )
 
-    def _checklist(self, marked: set[int]) -> list[dict[str, Any]]:
+    def _checklist(self, marked: Collection[int]) -> list[dict[str, Any]]:
         """What a model still needs, in the order in which it is best painted."""
         table, recipe = self._opened.session.table, self._history.recipe
         atria = [label.value for code in _ATRIA if (label := table.find_code(code)) is not None]
@@ -301,7 +335,11 @@ class Painting:
             ("ends", vessels, set(vessels) if recipe.walls.find_ends else ended),
         )
         return [
-            {"key": key, "done": set(values) <= there, "missing": [table[v].name for v in values if v not in there]}
+            {
+                "key": key,
+                "done": set(values) <= set(there),
+                "missing": [table[v].name for v in values if v not in there],
+            }
             for key, values, there in groups
             if values
         ]

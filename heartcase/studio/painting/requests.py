@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field, TypeAdapter, model_validator
 
 from heartcase.schemas.base import Model, Name, PointMm
 from heartcase.schemas.recipe.settings import Stroke
@@ -17,10 +18,13 @@ __all__ = [
     "Extend",
     "History",
     "Lock",
+    "Look",
     "Paint",
     "Picture",
     "Planes",
     "Request",
+    "Rest",
+    "SeenPlane",
     "Suggest",
     "parse_request",
 ]
@@ -128,7 +132,42 @@ class Lock(Model):
     """Whether it is locked then."""
 
 
-Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock | Picture | Confirm
+class SeenPlane(Model):
+    """A plane that a page shows."""
+
+    point_mm: PointMm
+    """A point of it, LPS mm."""
+    normal: PointMm
+    """Its unit normal, in the patient."""
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> Self:
+        if not 0.9 < math.hypot(*self.normal) < 1.1:
+            raise ValueError("normal must have length 1")
+        return self
+
+
+class Look(Model):
+    """Say which planes are shown: from now on their labels come first, and those off them when asked for."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["look"]
+    """Which request."""
+    planes: Annotated[tuple[SeenPlane, ...], Field(min_length=1, max_length=4)]
+    """The planes."""
+
+
+class Rest(Model):
+    """Send some of the labels that have not come yet."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["rest"]
+    """Which request."""
+
+
+Request = Paint | Extend | End | History | Suggest | ShapingRequest | Planes | Lock | Picture | Confirm | Look | Rest
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

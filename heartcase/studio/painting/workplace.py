@@ -11,11 +11,12 @@ from typing import TypeVar
 from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.studio.asking import request_id
+from heartcase.studio.idle import Idle
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 from heartcase.studio.painting.drafts import receive_draft
 from heartcase.studio.painting.painting import Painting, open_painting
-from heartcase.studio.painting.requests import History, Paint, parse_request
+from heartcase.studio.painting.requests import History, Look, Paint, parse_request
 from heartcase.studio.painting.states import States
 from heartcase.studio.shaping.requests import Add, Change, Remove, Set
 
@@ -52,6 +53,7 @@ class Workplace:
         self._aside = ThreadPoolExecutor(1, thread_name_prefix="studio-aside")
         self._tasks: set[asyncio.Task[None]] = set()
         self._states = States(self._copied, self._tell)
+        self._idle = Idle(self._free)
 
     async def join(self, page: Page) -> None:
         """Show a page everything, and then all that changes."""
@@ -69,6 +71,7 @@ class Workplace:
                 self._waiting.discard(page)
                 # Progress of opening is for all who wait for it.
                 self._pages.add(page)
+                self._idle.end()
                 await self._show_all((page,))
 
     async def leave(self, page: Page) -> None:
@@ -80,6 +83,21 @@ class Workplace:
             if painting is not None:
                 is_last = not self._pages
                 await self._refusing(lambda: painting.leave(page, is_last=is_last))
+                if is_last:
+                    self._idle.begin()
+
+    async def _free(self) -> None:
+        """Nobody had it open for long: all of it is in the recipe, which is opened again for who comes."""
+        async with self._turn:
+            painting = self._painting
+            if painting is None or self._pages or self._waiting:
+                return
+            try:
+                await self._run(painting.save)
+            except Exception:
+                # what cannot be saved stays
+                return
+            self._painting = None
 
     async def ask(self, page: Page, text: str) -> None:
         """Do what a page asks for, and tell it and the others."""
@@ -95,10 +113,13 @@ class Workplace:
                         "another program changed the recipe: it was opened again, so look before you go on",
                         place="recipe",
                     )
-                answer = await self._run(lambda: painting.do(request, page))
+                answer = await self._run(lambda: painting.do(request, page, self._pages))
             except Exception as error:
                 page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
                 return
+            for one in self._pages & answer.for_each.keys():
+                for labels in answer.for_each[one]:
+                    one.send(labels)
             for message in answer.for_all:
                 is_done = isinstance(message, str) and answer.done is not None and message.startswith('{"kind": "done"')
                 for one in self._pages:
@@ -109,7 +130,9 @@ class Workplace:
                 page.send(answer.done)
             if isinstance(request, History) and painting.is_outdated:
                 await self._open_again()
-            self._states.later()
+            # while the rest comes, and whoever scrolls on changes nothing
+            if not isinstance(request, Look):
+                self._states.later()
         if answer.later is not None:
             self._start(page, text, answer.later)
 
@@ -160,6 +183,7 @@ class Workplace:
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
         self._waiting.clear()
+        self._idle.close()
         async with self._turn:
             # What is being opened is open first.
             self._states.close()

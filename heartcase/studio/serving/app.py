@@ -31,7 +31,7 @@ PAGE = Path(__file__).parents[1] / "page"
 
 _PAGES = {"prepare": "index.html", "operate": "operating/operate.html"}
 """Pages that show what is open, and the HTML of each."""
-_LINES = ("socket", "building", "operating")
+_LINES = ("socket", "building", "operating", "beside")
 """Sockets that talk to what is open."""
 
 

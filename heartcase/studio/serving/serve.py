@@ -84,6 +84,7 @@ def serve(
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=_CLOSING_S,
         )
+        start.begin_to_compile()
         ready(f"http://{ADDRESS}:{port}{address}?token={token}")
         with contextlib.suppress(KeyboardInterrupt):
             uvicorn.Server(config).run(sockets=[listener])

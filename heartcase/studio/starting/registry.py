@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from heartcase.studio.building.building import Building
-from heartcase.studio.operating.theatre import Theatre
+from heartcase.studio.operating.theatre import Origin, Theatre
 from heartcase.studio.pages import Place
 from heartcase.studio.painting.workplace import Workplace
 
@@ -64,12 +64,13 @@ class Registry:
         """
         key = self._key("prepare", path)
         if key not in self._opened:
-            building = Building(path, out=out, operate=lambda case: self.open_case(case).address)
+            origin = Origin(path, f"/prepare/{key}")
+            building = Building(path, out=out, operate=lambda case: self.open_case(case, origin=origin).address)
             places: dict[str, Place] = {"socket": Workplace(path, out=out), "building": building}
             self._opened[key] = Opened("prepare", key, path, places)
         return self._opened[key]
 
-    def open_case(self, path: Path, *, out: Path | None = None) -> Opened:
+    def open_case(self, path: Path, *, out: Path | None = None, origin: Origin | None = None) -> Opened:
         """Open a case to be operated on, or find it where it is open.
 
         Parameters
@@ -78,11 +79,18 @@ class Registry:
             The case's folder. What is wrong with it is told to its pages.
         out
             Folder that recordings are put into, and taken from; beside the case when left out.
+        origin
+            The recipe that it is opened from: its pages lead back there, and show its scan.
         """
         key = self._key("operate", path)
         if key not in self._opened:
-            places = {"operating": Theatre(path, out=path.parent if out is None else out)}
+            folder = path.parent if out is None else out
+            # a second session on it, for two recordings side by side: it is begun when a page asks for it
+            places = {"operating": Theatre(path, out=folder), "beside": Theatre(path, out=folder)}
             self._opened[key] = Opened("operate", key, path, places)
+        place = self._opened[key].places["operating"]
+        if origin is not None and isinstance(place, Theatre):
+            place.origin = origin
         return self._opened[key]
 
     def find(self, page: str, key: str) -> Opened | None:

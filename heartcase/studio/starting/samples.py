@@ -11,17 +11,11 @@ from heartcase.schemas.errors import HeartcaseError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.toml import toml_string
+from heartcase.studio.sample_folder import sample_folder
 
-__all__ = ["copy_sample", "sample_folder", "shown_samples"]
+__all__ = ["copy_sample", "shown_samples"]
 
-_PACKAGE = Path(__file__).parents[2]
 _SCAN_PATH = re.compile(r"^\[scan\]\n(?:(?!\[).*\n)*?path = .*$", re.MULTILINE)
-
-
-def sample_folder() -> Path | None:
-    """Where the sample cases are: in the installed package, or beside it in a checkout; None where there are none."""
-    places = (_PACKAGE / "sample_cases", _PACKAGE.parent / "sample_cases")
-    return next((one for one in places if one.is_dir()), None)
 
 
 @functools.cache

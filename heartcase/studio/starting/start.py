@@ -17,6 +17,7 @@ from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.studio.asking import parsed, request_id
 from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
+from heartcase.studio.starting.compiling import Compiling
 from heartcase.studio.starting.recent import Recent, state_folder
 from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.requests import Begin, List, Look, Open, Reopen, Sample, StartRequest
@@ -64,6 +65,8 @@ class Start:
         self._recent = Recent(state or state_folder())
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio-start")
         self._pages: set[Page] = set()
+        self._compiling: Compiling | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     def open_recipe(self, path: Path, *, out: Path) -> str:
         """Open a recipe and remember it; the address of its page.
@@ -85,10 +88,17 @@ class Start:
         """
         return self._open(_case_to_open(path))
 
+    def begin_to_compile(self) -> None:
+        """Compile, behind the pages, what the studio will call and is not compiled yet on this machine."""
+        self._compiling = Compiling(self._tell_of_compiling)
+        self._compiling.begin()
+
     async def join(self, page: Page) -> None:
         """Show a page what can be opened."""
+        self._loop = asyncio.get_running_loop()
         self._pages.add(page)
         page.send(await self._run(self._greeting))
+        page.send(self._compiling_message())
         # reading them takes a second, once
         page.send(await self._run(lambda: text_message("samples", samples=list(shown_samples()))))
 
@@ -115,7 +125,28 @@ class Start:
         """End."""
         for page in self._pages:
             page.close()
+        if self._compiling is not None:
+            await asyncio.get_running_loop().run_in_executor(None, self._compiling.close)
         self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _compiling_message(self) -> str:
+        progress = None if self._compiling is None else self._compiling.progress
+        if progress is None:
+            return text_message("compiling", fraction=None, seconds_left=None)
+        fraction = (progress.done + progress.failed) / progress.total
+        return text_message("compiling", fraction=fraction, seconds_left=progress.seconds_left)
+
+    def _tell_of_compiling(self) -> None:
+        loop = self._loop
+        if loop is None or loop.is_closed():
+            return
+
+        def tell() -> None:
+            message = self._compiling_message()
+            for page in self._pages:
+                page.send(message)
+
+        loop.call_soon_threadsafe(tell)
 
     def _prepared(self, request: List | Look | Begin | Open | Reopen | Sample) -> dict[str, Any] | _ToOpen:
         """The answer, or what is to be opened in the server's loop."""

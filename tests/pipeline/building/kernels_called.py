@@ -41,20 +41,22 @@ def small_recipe(folder: Path) -> Path:
     return path
 
 
-def main(folder: Path, output: Path) -> None:
-    numba.config.THREADING_LAYER = "workqueue"  # which lets no two stages run at the same time
-    from heartcase.compiling.kernel import KERNELS
-    from heartcase.compiling.signatures import as_json
-    from heartcase.library.scans import ensure_scan
-    from heartcase.pipeline.building.run import build_case
-    from heartcase.schemas.recipe.recipe import load_recipe
+class CalledKernels:
+    """Kernels that Python called in this process, and who called each first."""
 
-    called: dict[tuple, dict] = {}
-    compiled = _Compiled()
-    event.register("numba:compile", compiled)
+    def __init__(self) -> None:
+        from heartcase.compiling.kernel import KERNELS
 
-    def note(stage: str) -> None:
-        for kernel in KERNELS:
+        self._kernels = KERNELS
+        self._called: dict[tuple, dict] = {}
+        self._compiled = _Compiled()
+        event.register("numba:compile", self._compiled)
+
+    def note(self, caller: str) -> None:
+        """What was called since the last time, this caller called."""
+        from heartcase.compiling.signatures import as_json
+
+        for kernel in self._kernels:
             function = kernel.py_func
             if kernel.targetoptions.get("no_cpython_wrapper") or not function.__module__.startswith("heartcase."):
                 continue
@@ -64,25 +66,38 @@ def main(folder: Path, output: Path) -> None:
                 except ValueError:  # of lent tuples and of constants, which only other kernels hand over
                     continue
                 key = (function.__module__, function.__qualname__, listed)
-                seconds = compiled.seconds.get((id(kernel), types), 0.0)
-                called.setdefault(key, {"stage": stage, "seconds": round(seconds, 2)})
+                seconds = self._compiled.seconds.get((id(kernel), types), 0.0)
+                self._called.setdefault(key, {"stage": caller, "seconds": round(seconds, 2)})
+
+    def write(self, output: Path) -> None:
+        """Write all of them."""
+        entries = [
+            {"module": module, "name": name, "types": json.loads(types)} | facts
+            for (module, name, types), facts in self._called.items()
+        ]
+        output.write_text(json.dumps(entries))
+
+
+def main(folder: Path, output: Path) -> None:
+    numba.config.THREADING_LAYER = "workqueue"  # which lets no two stages run at the same time
+    from heartcase.library.scans import ensure_scan
+    from heartcase.pipeline.building.run import build_case
+    from heartcase.schemas.recipe.recipe import load_recipe
+
+    called = CalledKernels()
 
     class Ear:
         def stage_started(self, stage, *, seconds_expected, seconds_after):
             pass
 
         def stage_finished(self, stage, *, seconds, reused):
-            note(stage)
+            called.note(stage)
 
     recipe = load_recipe(small_recipe(folder))
     ensure_scan(recipe.scan, folder)
-    note("scan")
+    called.note("scan")
     build_case(recipe, directory=folder, out=folder, listener=Ear(), force=True)
-    entries = [
-        {"module": module, "name": name, "types": json.loads(types)} | facts
-        for (module, name, types), facts in called.items()
-    ]
-    output.write_text(json.dumps(entries))
+    called.write(output)
 
 
 if __name__ == "__main__":

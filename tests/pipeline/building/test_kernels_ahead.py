@@ -13,13 +13,16 @@ from heartcase.schemas.recipe.recipe import load_recipe
 from tests.pipeline.building.kernels_called import small_recipe
 
 
-def called(environment=os.environ):
-    """Kernels that a small build calls, with the stage that calls each first, when all of them are in the cache."""
+def called(environment=os.environ, module="tests.pipeline.building.kernels_called"):
+    """Kernels that a small build calls, with the stage that calls each first, when all of them are in the cache.
+
+    Or what another module's process calls.
+    """
     compiled = []
     while True:
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "called.json"
-            command = [sys.executable, "-m", "tests.pipeline.building.kernels_called", folder, str(output)]
+            command = [sys.executable, "-m", module, folder, str(output)]
             subprocess.run(command, check=True, env=environment)
             found = json.loads(output.read_text())
         compiled.append({key_of(one): one["seconds"] for one in found})
@@ -36,14 +39,14 @@ def key_of(one):
     return one["module"], one["name"], json.dumps(one["types"])
 
 
-def write(found):
+def write(found, path=LIST):
     """One kernel a line."""
     parts = []
-    for stage in (SCAN, *(step.name for step in steps())):
+    for stage in found:
         kernels = [{name: one[name] for name in ("module", "name", "seconds", "types")} for one in found[stage]]
         lines = ",\n  ".join(json.dumps(one) for one in kernels)
         parts.append(f' "{stage}": [\n  {lines}\n ]' if kernels else f' "{stage}": []')
-    LIST.write_text("{\n" + ",\n".join(parts) + "\n}\n")
+    path.write_text("{\n" + ",\n".join(parts) + "\n}\n")
 
 
 def by_stage(found):

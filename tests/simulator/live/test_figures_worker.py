@@ -9,13 +9,26 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.bundle.write_bundle import write_bundle
-from heartcase.schemas.recording.commands import CloseGrab, Cut, LeadGrab, OpenGrab, Redo, Undo
+from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.recording.commands import (
+    Advance,
+    BringProbe,
+    CloseGrab,
+    Cut,
+    Entry,
+    LeadGrab,
+    OpenGrab,
+    Redo,
+    Undo,
+    WithdrawProbe,
+)
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.schemas.scripts.incision_plans import ShaftSettings
 from heartcase.simulator.incisions.blade_line import line_of_blade
 from heartcase.simulator.incisions.held_open import ShownHeart
 from heartcase.simulator.live.figures_worker import FiguresWorker, figures_of
 from heartcase.simulator.live.live import Live
+from heartcase.simulator.live.recorded_figures import figures_of_recording, moments_of_incision
 from heartcase.simulator.load import load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.planned_incisions import on_case, parse_plans, run_plan
@@ -64,12 +77,12 @@ def planned(case, tmp_path_factory):
     while live.newest.mode == "playing":
         live.tick()
     assert live.session.deviations == []
-    yield held, live, whole
+    yield held, live, whole, path
     live.close()
 
 
 def test_they_are_the_figures_of_the_plan_on_the_same_state(case, planned):
-    held, live, whole = planned
+    held, live, whole, _ = planned
     found = figures_of(live.newest, whole, case.manifest.landmarks, shaft=ROUGH)
     assert found.defects == held.figures
     assert found.hand_force_n == held.hand_force_n
@@ -81,8 +94,40 @@ def test_they_are_the_figures_of_the_plan_on_the_same_state(case, planned):
     assert found.defects["hole"].reach_mm3 > 0.0
 
 
+def test_so_are_those_of_the_recording_at_its_last_held_moment(case, planned, tmp_path):
+    held, _, _, path = planned
+    found = figures_of_recording(case, open_recording(path), shaft=ROUGH)
+    assert found.defects == held.figures
+    # what came after the hands let go does not count
+    session = load_session(open_recording(path), case.model, surface=case.surface, tissue=case.tissue)
+    session.go_to(session.end_step)
+    with Recorder(session, tmp_path / "on.recording", case=case.manifest):
+        for name in held.hand_force_n:
+            session.do(OpenGrab(name=name))
+        session.advance(40)
+    assert figures_of_recording(case, open_recording(tmp_path / "on.recording"), shaft=ROUGH) == found
+
+
+def test_moments_of_an_incision():
+    def entries(*commands):
+        return [Entry(step=0, command=one) for one in commands]
+
+    cut = Cut(poses_mm=(((0, 0, 0), (0, 0, 1)), ((1, 0, 0), (1, 0, 1))))
+    hand = CloseGrab(name="hand", center_mm=(0, 0, 0))
+    probe = BringProbe(name="tip", center_mm=(0, 0, 0), semi_axes_mm=(1, 1, 1))
+    go, let_go, away = Advance(steps=5), OpenGrab(name="hand"), WithdrawProbe(name="tip")
+    assert moments_of_incision(entries(cut, go)) == (2, 2)
+    assert moments_of_incision(entries(cut, go, hand, go)) == (4, 2)
+    assert moments_of_incision(entries(cut, go, hand, go, let_go, go)) == (4, 2)
+    assert moments_of_incision(entries(hand, cut, go)) == (3, None)
+    # a probe hides, but holds nothing open
+    assert moments_of_incision(entries(probe, cut, go, away, go, probe, go)) == (7, 5)
+    with pytest.raises(SimulationError, match="nothing is cut"):
+        moments_of_incision(entries(hand, go))
+
+
 def test_the_process_beside_the_steps_gives_the_same(case, planned):
-    _, live, whole = planned
+    _, live, whole, _ = planned
     before, heard = threads(), []
     worker = FiguresWorker(whole, case.manifest.landmarks, heard=lambda: heard.append(1), shaft=ROUGH)
     exact = figures_of(live.newest, whole, case.manifest.landmarks, shaft=ROUGH)
@@ -108,7 +153,7 @@ def test_the_process_beside_the_steps_gives_the_same(case, planned):
 
 
 def test_a_process_that_was_killed_is_told(case, planned):
-    _, live, whole = planned
+    _, live, whole, _ = planned
     worker = FiguresWorker(whole, case.manifest.landmarks)
     worker._process.kill()
     worker.ask(live.newest)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from starlette.testclient import TestClient
 
+from heartcase.studio.operating.theatre import Origin
 from heartcase.studio.serving.app import make_app
 from heartcase.studio.starting.registry import Registry
 from tests.studio.talking import ADDRESS, PORT, TOKEN
@@ -44,6 +45,7 @@ class Operator:
     topology_count: int = 0
     displacement: np.ndarray | None = None
     arrays: dict = field(default_factory=dict)
+    slices: dict = field(default_factory=dict)
     number: int = 0
 
     def next(self):
@@ -97,6 +99,9 @@ class Operator:
                 self.displacement = np.full((header["node_count"], 3), np.nan)
             self.topology, self.topology_count = (header, arrays), self.topology_count + 1
             return
+        if header["kind"] == "slice":
+            self.slices[header["name"]] = header, arrays["greys"]
+            return
         assert header["topology"] == self.topology[0]["topology"]
         size = header["block_nodes"]
         for block, steps in zip(arrays["blocks"], arrays["steps"], strict=True):
@@ -110,10 +115,11 @@ class Operator:
 
 
 @contextmanager
-def theatre(case, out):
+def theatre(case, out, recipe=None):
     """A browser that may open this case, the address of its socket, and the theatre itself."""
     registry = Registry(TOKEN)
-    opened = registry.open_case(case, out=out)
+    origin = None if recipe is None else Origin(recipe, registry.open_recipe(recipe, out=out).address)
+    opened = registry.open_case(case, out=out, origin=origin)
     app = make_app(registry, token=TOKEN, port=PORT)
     with TestClient(app, base_url=ADDRESS, follow_redirects=False) as browser:
         assert browser.get(opened.address, params={"token": TOKEN}).status_code == 303

@@ -45,6 +45,7 @@ def anything(random):
             "go_to",
             "hide",
             "cut_open",
+            "slice",
         ]
     )
     match what:
@@ -69,6 +70,9 @@ def anything(random):
         case "cut_open":
             plane = {"normal": random.normal(size=3).tolist(), "point_mm": [x, y, far * 36.0]}
             return {"do": "cut_open", "plane": plane if random.random() < 0.8 else None}
+        case "slice":
+            name = str(random.choice(["cut", "axial"]))
+            return {"do": "slice", "name": name, "point_mm": [x, y, far], "right": [1, 0, 0], "down": [0, 0.6, -0.8]}
         case _:
             return {"do": "hide", "structures": random.integers(0, 257, 3).tolist()}
 

@@ -26,8 +26,9 @@ from tests.studio.page.conftest import SWITCHES, find_browser
 HOOKS = """
 window.measured = [];
 {
-  let sent = [], came = []; // movements that were sent, and times of labels that came, oldest first
-  let moved = null, hasLabels = false, isBlocks = false, shown = null;
+  // movements that were sent, by the number of their request: when the pointer moved, and when it was sent
+  const sent = new Map();
+  let moved = null, cameAt = null, hasLabels = false, shown = null;
   addEventListener("pointermove", (event) => { if (event.buttons && moved === null) moved = event.timeStamp; }, true);
   const Plain = WebSocket;
   window.WebSocket = class extends Plain {
@@ -35,33 +36,29 @@ window.measured = [];
       super(...all);
       this.addEventListener("message", ({ data }) => {
         if (typeof data !== "string") {
+          cameAt ??= performance.now();
           hasLabels = true;
-          came.push(performance.now());
-        } else if (data.includes('"done"') && data.includes('"id"')) {
-          if (!hasLabels) sent.shift();
-          hasLabels = false;
+          return;
         }
+        const { kind, id } = JSON.parse(data);
+        if (id === undefined) return;
+        // labels stand before the answer that they belong to, and are in the volume before the next picture
+        const one = sent.get(id);
+        sent.delete(id);
+        if (kind === "done" && one && hasLabels) shown ??= [...one, cameAt];
+        [cameAt, hasLabels] = [null, false];
       });
     }
     send(data) {
-      const { do: what } = JSON.parse(data);
-      // a stroke begins when all answers have come
-      if (what === "paint") [sent, came, moved, hasLabels, isBlocks] = [[], [], null, false, false];
-      sent.push(what === "extend" ? [moved ?? performance.now(), performance.now()] : null);
-      if (what === "extend") moved = null;
+      const { do: what, id } = JSON.parse(data);
+      if (what === "extend") {
+        sent.set(id, [moved ?? performance.now(), performance.now()]);
+        moved = null;
+      }
       super.send(data);
     }
   };
-  const { texSubImage3D, drawArrays } = WebGL2RenderingContext.prototype;
-  WebGL2RenderingContext.prototype.texSubImage3D = function (...all) {
-    texSubImage3D.apply(this, all);
-    // labels first, and then which blocks of them are empty
-    if (!isBlocks) {
-      const [one, at] = [sent.shift(), came.shift()];
-      if (one && at) shown ??= [...one, at];
-    }
-    isBlocks = !isBlocks;
-  };
+  const { drawArrays } = WebGL2RenderingContext.prototype;
   WebGL2RenderingContext.prototype.drawArrays = function (...all) {
     drawArrays.apply(this, all);
     if (shown === null) return;

@@ -1,29 +1,22 @@
 """What is seen besides the heart in Operate, in a real browser: cut plane, and what comes with it."""
 
 import io
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from heartcase.pipeline.bundle.write_bundle import (
-    BundleParts,
-    BundleRecord,
-    BundleSource,
-    assemble_bundle,
-    resolve_materials,
-    write_bundle,
-)
-from heartcase.schemas.bundle.format import StageRecord
-from heartcase.schemas.recipe.settings import MaterialsSettings
-from tests.factories import TABLE, block_grid, block_surface
-from tests.studio.page.browsing import browsing, until
+from heartcase.pipeline.bundle.write_bundle import BundleSource, write_bundle
+from heartcase.pipeline.stages.read import region_of_scan
+from heartcase.schemas.recipe.recipe import parse_recipe
+from heartcase.studio.operating.theatre import Origin
+from tests.factories import TABLE
+from tests.studio.axe.accessible import assert_accessible
+from tests.studio.operating.two_walls import INNER, WALL, two_walls
+from tests.studio.page.browsing import TURNED, browsing, until, write_recipe
 from tests.studio.page.test_operating import OPEN, CaseServer, Hands
 
 SIZE = {"width": 1366, "height": 768}
-WALL, INNER = 9, 13
-"""Labels of the halves of the block, below and above x = 20.5 mm; the surface knows the first alone."""
 
 
 def colour(value):
@@ -31,32 +24,47 @@ def colour(value):
     return np.array([int(text[at : at + 2], 16) for at in (1, 3, 5)], float)
 
 
-def write_two_walls(folder, **more):
-    """A block of 8 x 5 x 4 cells of 3 mm on a fixed base: x 8.5 to 32.5, y -21.5 to -6.5, z 28.5 to 40.5 mm."""
-    grid = block_grid((8, 5, 4))
-    grid = replace(grid, cell_label=np.where(grid.cells[:, 0] < 4, WALL, INNER).astype(np.uint8))
-    surface, grid_map, picking = block_surface(grid)
-    parts = BundleParts(grid=grid, surface=surface, grid_map=grid_map, picking=picking)
-    stages = (StageRecord(stage="grid", version=1, settings={}, output_sha256="1" * 64),)
-    source = BundleSource(geometry=grid.geometry, sha256="0" * 64)
-    made = assemble_bundle(
-        parts, resolve_materials(MaterialsSettings(), TABLE), source, BundleRecord(name="two walls", stages=stages)
-    )
-    write_bundle(folder / "two.case", made)
-    return folder / "two.case"
+class FromRecipe(CaseServer):
+    """The case is opened from its recipe, and knows its scan."""
+
+    def open_in(self, registry):
+        folder = self.recipe.parent
+        opened = registry.open_recipe(folder / "painted.toml", out=folder)
+        return registry.open_case(self.recipe, out=folder, origin=Origin(folder / "painted.toml", opened.address))
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory, chromium):
+    """One page for all tests here."""
+    folder = tmp_path_factory.mktemp("scene")
+    recipe, Scene.scan = write_recipe(folder, TURNED)
+    scan = region_of_scan(parse_recipe(recipe.read_text(), needs_markers=False), folder)
+    write_bundle(folder / "two.case", two_walls(BundleSource(geometry=scan.geometry, sha256=scan.values_sha256)))
+    server = FromRecipe(folder / "two.case")
+    server.start()
+    with browsing(chromium, server, viewport=SIZE, has_touch=True) as page:
+        yield page
+    server.stop()
 
 
 @pytest.fixture
-def cut_open(tmp_path, chromium):
-    server = CaseServer(write_two_walls(tmp_path))
-    server.start()
-    with browsing(chromium, server, viewport=SIZE) as page:
-        yield page, Scene(page)
-    server.stop()
+def cut_open(shown):
+    """The page as it is when the case is opened."""
+    shown.tab.reload()
+    shown.ready()
+    scene = Scene(shown)
+    shown.tab.locator("#tab-recordings").click()
+    shown.tab.locator("#begin").click()
+    scene.until(lambda header: header["act_count"] == 0 and header["mode"] == "running")
+    shown.tab.locator("#tab-structures").click()
+    return shown, scene
 
 
 class Scene(Hands):
     """The scene, and what is seen at places of it."""
+
+    scan = None
+    """Affine of the scan, shape (4, 4)."""
 
     def put(self, normal, point):
         self.tab.evaluate(
@@ -122,7 +130,6 @@ def test_walls_are_capped_in_their_colours_while_the_heart_moves_and_after_cuts(
     assert is_of(pulled, WALL).all()
     tab.mouse.up()
     scene.until(lambda header: not header["instruments"])
-    until(lambda: not is_of(scene.seen([(14.0, -4.5, 35.0)]), WALL).any())
     # a blade across, drawn on the cap
     tab.keyboard.press("c")
     scene.drag((26.0, -21.0, 35.0), (26.0, -17.0, 35.0), (26.0, -12.0, 35.0), (26.0, -7.0, 35.0))
@@ -197,3 +204,181 @@ def test_a_plane_is_led_and_turned_by_handles_wheel_and_keys(cut_open):
     tab.locator("#cut-face").click()
     assert tab.evaluate(f"async () => {OPEN}.picture.camera.towards[0]") == pytest.approx(-1.0)
     assert tab.locator("#cut-axis").input_value() == ""
+
+
+class Touching:
+    """Fingers and a pen, as the browser's own input has them."""
+
+    def __init__(self, page):
+        self.line = page.tab.context.new_cdp_session(page.tab)
+        self.page = page
+
+    def fingers(self, kind, *pixels):
+        points = [{"x": x, "y": y, "id": n} for n, (x, y) in enumerate(pixels)]
+        self.line.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+
+    def pen(self, kind, x, y):
+        buttons = 0 if kind == "Released" else 1
+        self.line.send(
+            "Input.dispatchMouseEvent",
+            {"type": f"mouse{kind}", "x": x, "y": y, "button": "left", "buttons": buttons, "pointerType": "pen"}
+            | {"clickCount": 1, "force": 0.5},
+        )
+
+    def between(self, start, end, steps=5):
+        return [tuple(np.array(start) + (np.array(end) - start) * n / steps) for n in range(1, steps + 1)]
+
+
+def test_one_finger_and_a_pen_act_and_two_fingers_turn_and_zoom(cut_open):
+    page, scene = cut_open
+    touching, tab = Touching(page), page.tab
+    scene.from_above()
+    tab.evaluate(
+        "() => { window.kinds = []; document.querySelector('#scene').addEventListener('pointerdown', "
+        "(event) => window.kinds.push(event.pointerType)); }"
+    )
+    tab.locator("#tools button[data-key=g]").tap()
+    top, aside = scene.pixel((22.0, -14.0, 40.5)), scene.pixel((27.0, -14.0, 40.5))
+
+    def camera():
+        return tab.evaluate(
+            f"async () => {{ const {{ towards, distance, target }} = {OPEN}.picture.camera;"
+            "return { towards, distance, target }; }"
+        )
+
+    before = camera()
+    # one finger pulls
+    touching.fingers("Start", top)
+    for place in touching.between(top, aside):
+        touching.fingers("Move", place)
+    scene.until(lambda header: header["instruments"] and header["instruments"][0]["center_mm"][0] > 26.5)
+    # another, as of a hand that is laid down, changes nothing
+    touching.fingers("Start", aside, (top[0], top[1] + 150))
+    touching.fingers("Move", aside, (top[0] + 80, top[1] + 150))
+    touching.fingers("Move", aside)
+    page.drawn()
+    assert scene.header()["instruments"]
+    assert camera() == before
+    touching.fingers("End")
+    scene.until(lambda header: not header["instruments"])
+    # two fingers turn and zoom, and no instrument is taken by the first
+    acts = scene.header()["act_count"]
+    left, right = (top[0] - 40, top[1]), (top[0] + 40, top[1])
+    touching.fingers("Start", left)
+    touching.fingers("Start", left, right)
+    for n in range(1, 6):
+        touching.fingers("Move", (left[0] - 8 * n, left[1] + 10 * n), (right[0] + 8 * n, right[1] + 10 * n))
+    touching.fingers("End")
+    page.drawn()
+    after = camera()
+    assert after["distance"] == pytest.approx(before["distance"] / 2.0, rel=0.05)
+    assert after["towards"][2] < 0.99
+    assert after["target"] == before["target"]
+    tab.wait_for_timeout(200)
+    assert scene.header()["act_count"] == acts
+    # three move
+    touching.fingers("Start", left, right, (top[0], top[1] + 60))
+    for n in range(1, 4):
+        touching.fingers("Move", *((x + 20 * n, y) for x, y in (left, right, (top[0], top[1] + 60))))
+    touching.fingers("End")
+    page.drawn()
+    assert camera()["target"] != after["target"]
+    # a pen pulls at once
+    scene.from_above()
+    tab.evaluate(f"async (one) => {{ Object.assign({OPEN}.picture.camera, one); }}", {"target": before["target"]})
+    tab.evaluate(f"async (one) => {{ {OPEN}.picture.camera.distance = one; }}", before["distance"])
+    touching.pen("Pressed", *top)
+    for place in touching.between(top, aside):
+        touching.pen("Moved", *place)
+    scene.until(lambda header: header["instruments"] and header["instruments"][0]["center_mm"][0] > 26.5)
+    touching.pen("Released", *aside)
+    scene.until(lambda header: not header["instruments"])
+    assert set(tab.evaluate("() => window.kinds")) == {"touch", "pen"}
+
+
+def test_slices_lie_where_the_scan_is_and_the_recipe_is_a_click_away(cut_open):
+    page, scene = cut_open
+    tab = page.tab
+    tab.locator("#tab-view").click()
+    for name in ("axial", "sagittal"):
+        tab.locator(f"#scan-{name}").check()
+    slices = f"async () => {{ const {{ slices: s }} = {OPEN}.picture; return s.names.map((o) => [o, s.corners(o)]); }}"
+    until(lambda: len(tab.evaluate(slices)) == 2)
+    tab.locator("#scan-sagittal-at").evaluate("(one) => { one.value = 18; one.dispatchEvent(new Event('input')); }")
+    until(lambda: dict(tab.evaluate(slices))["sagittal"][0][0] == 18.0)
+    # all of the scan is in the picture: it begins and ends where the scan's box does
+    scan = scene.scan
+    corner, right, down = (np.array(one) for one in dict(tab.evaluate(slices))["axial"])
+    corners = np.array([[i, j, k] for i in (-0.5, 39.5) for j in (-0.5, 29.5) for k in (-0.5, 23.5)])
+    places = corners @ scan[:3, :3].T + scan[:3, 3]
+    assert corner[:2] == pytest.approx(places.min(axis=0)[:2], abs=0.05)
+    assert [right[0], down[1]] == pytest.approx(places.max(axis=0)[:2], abs=1.1)
+    # in the cut plane
+    scene.put([0, 0, 1], [20.5, -14.0, 35.0])
+    tab.locator("#scan-cut").check()
+    until(lambda: "cut" in dict(tab.evaluate(slices)))
+    assert dict(tab.evaluate(slices))["cut"][0][2] == pytest.approx(35.0)
+    scene.put([0, 0, 1], [20.5, -14.0, 33.0])
+    until(lambda: dict(tab.evaluate(slices))["cut"][0][2] == pytest.approx(33.0))
+    tab.keyboard.press("k")
+    page.drawn()
+    assert "cut" not in dict(tab.evaluate(slices))
+    with tab.expect_navigation():
+        tab.locator("#recipe").click()
+    page.ready()
+    assert "/prepare/" in tab.url
+    tab.go_back()
+    page.ready()
+
+
+def test_two_views_draw_the_same_and_surroundings_are_not_met(cut_open):
+    page, scene = cut_open
+    tab = page.tab
+    scene.from_above()
+    page.drawn()
+    memory = f"async () => ({{...{OPEN}.picture.renderer.info.memory}})"
+    before = tab.evaluate(memory)
+    tab.keyboard.press("i")
+    page.drawn()
+    assert tab.locator("#scene-2").is_visible()
+    # nothing of the heart is twice on the graphics card
+    assert tab.evaluate(memory) == before
+    # the second looks from elsewhere, and acts
+    tab.locator("#second-look").select_option("head")
+    second = f"async (place) => {{ const {{ camera }} = {OPEN}.picture.views[1]; return camera.pixel(place); }}"
+    page.drawn()
+    box = tab.locator("#scene-2").bounding_box()
+    x, y = tab.evaluate(second, [22.0, -14.0, 40.5])
+    tab.keyboard.press("g")
+    tab.mouse.move(box["x"] + x, box["y"] + y)
+    tab.mouse.down()
+    header = scene.until(lambda header: bool(header["instruments"]))
+    assert header["instruments"][0]["center_mm"] == pytest.approx([22.0, -14.0, 40.5], abs=0.6)
+    tab.mouse.up()
+    scene.until(lambda header: not header["instruments"])
+    tab.keyboard.press("i")
+    # drape and instruments around are no part of what is pointed at
+    tab.keyboard.press("d")
+    page.drawn()
+    assert tab.evaluate(memory)["geometries"] > before["geometries"]
+    scene.drag((22.0, -14.0, 40.5), (22.0, -14.0, 40.5))
+    scene.until(lambda header: bool(header["instruments"]))
+    tab.mouse.up()
+    scene.until(lambda header: not header["instruments"])
+
+
+def test_axe_finds_nothing_on_what_is_seen_besides(cut_open):
+    page, scene = cut_open
+    tab = page.tab
+    tab.locator("#tab-view").click()
+    scene.put([0, 0, 1], [20.5, -14.0, 35.0])
+    tab.locator("#two-views").click()
+    for theme, language in (("light", "de"), ("dark", "en")):
+        if tab.locator("html").get_attribute("data-theme") != theme:
+            tab.locator("#theme").click()
+        tab.locator("#tab-help").click()
+        tab.locator("#language").select_option(language)
+        tab.locator("#tab-view").click()
+        page.drawn()
+        assert_accessible(page, f"{theme}, {language}, view")
+    assert tab.evaluate("() => document.documentElement.scrollWidth") == SIZE["width"]

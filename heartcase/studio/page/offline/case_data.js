@@ -7,6 +7,30 @@ import { unpack } from "../shared/connection.js";
 /** @typedef {{name: string, parts: number[]}} Recording */
 /** @typedef {{facts: Record<string, any>, parts: Package[], case: number[], recordings: Recording[]}} CaseData */
 
+/** A file that should lie beside the page does not. */
+export class NoCase extends Error {}
+
+/**
+ * The case's text: in the page itself, or in a script beside it, which is all that a browser loads from a folder.
+ * @returns {Promise<string>}
+ */
+export async function caseText() {
+  const own = document.getElementById("case-data");
+  if (own !== null) return own.textContent?.trim() ?? "";
+  const script = document.createElement("script");
+  script.src = document.body.dataset.case ?? "";
+  await new Promise((resolve, reject) => {
+    script.addEventListener("load", resolve);
+    script.addEventListener("error", () => reject(new NoCase()));
+    document.head.append(script);
+  });
+  script.remove();
+  const text = /** @type {any} */ (globalThis).heartcaseData;
+  if (typeof text !== "string") throw new NoCase();
+  delete (/** @type {any} */ (globalThis).heartcaseData);
+  return text;
+}
+
 /** @param {string} text base64 */
 function bytesOf(text) {
   const letters = atob(text);

@@ -1,8 +1,9 @@
-/** A case without a server: looked at, cut open by a plane, its recordings played; pulled and probed where there is WebGPU. */
+/** A case without a server: looked at, cut open, coloured, its recordings played; pulled and probed where there is WebGPU. */
 
 import { arraysOf } from "../operating/messages.js";
-import { Panel } from "../operating/panel.js";
+import { Panel, shownName } from "../operating/panel.js";
 import { NoGraphics, Picture } from "../operating/picture.js";
+import { PlaneControls } from "../operating/plane_controls.js";
 import { Pointer } from "../operating/pointer.js";
 import { element } from "../panel/structures.js";
 import { runTabs } from "../panel/tiles.js";
@@ -10,9 +11,14 @@ import { runLanguage, runTheme } from "../shared/looks.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
 import { NoWebGpu, SpringEngine } from "../springs/engine.js";
 import { Lattice } from "../springs/lattice.js";
-import { readCase } from "./case_data.js";
+import { caseText, NoCase, readCase } from "./case_data.js";
+import { Colouring, Lit } from "./colouring.js";
 import { Frame, LocalHands } from "./hands.js";
+import { Looking, SIDES, sidesOf } from "./looking.js";
+import { Marks } from "./marks.js";
+import { runNaming } from "./naming.js";
 import { Picking } from "./picking.js";
+import { Vessels } from "./vessels.js";
 
 /** @typedef {import("../shared/words.js").Word} Word */
 /** @typedef {import("../shared/connection.js").Package} Package */
@@ -23,6 +29,8 @@ const MOST_S = 1 / 30;
 /** Movement in a picture below which nothing moves any more [cells], and pictures of it after which steps end. */
 const STILL = 2e-4;
 const STILL_PICTURES = 20;
+/** Displacement below which a node is where it was [cells]. */
+const AT_REST = 0.05;
 /** What steps may take in a picture, ms: where they take longer, fewer are taken. */
 const STEPS_MS = 25;
 /** Steps in a picture, however long they take: time goes on. */
@@ -31,7 +39,7 @@ const STEPS_LEAST = 4;
 const KEYS = [
   ["O", "operate_help_orbit"], ["G P", "operate_help_tools"], ["[  ]", "operate_help_size"], ["Enter", "operate_help_enter"],
   ["↑ ↓ ← →", "operate_help_arrows"], ["Shift + ↑ ↓ ← →", "operate_help_move"], ["+  -", "operate_help_zoom"],
-  ["Page ↑ ↓", "operate_help_deeper"], ["Esc", "operate_help_escape"], ["A  Home", "operate_help_view"],
+  ["Page ↑ ↓", "operate_help_deeper"], ["K  <  >", "scene_help_plane"], ["Esc", "operate_help_escape"], ["A  Home", "operate_help_view"],
 ];
 
 /** @param {string} id */
@@ -40,6 +48,8 @@ const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 language.follow((name) => {
   document.documentElement.lang = name;
   fillWords(document);
+  const back = /** @type {HTMLAnchorElement | null} */ (document.getElementById("back"));
+  if (back) back.search = `?lang=${name}`;
 });
 
 /** What is open, for whoever looks at the page from outside, such as its tests. @type {Record<string, any>} */
@@ -47,11 +57,11 @@ export const open = /** @type {any} */ (globalThis).heartcase = {};
 
 async function run() {
   const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")));
-  const data = await readCase(find("case-data").textContent?.trim() ?? "");
+  const data = await readCase(await caseText());
   const { facts } = data;
   /** @type {[import("../operating/camera.js").Vector, import("../operating/camera.js").Vector]} */
   const box = facts.box_mm;
-  const [topology, springs] = data.case.map((number) => data.parts[number]);
+  const [topology, springs, ...tubes] = data.case.map((number) => data.parts[number]);
   /** @type {LocalHands | null} */
   let hands = null;
   /** @type {SpringEngine | null} */
@@ -62,15 +72,24 @@ async function run() {
   let isStepping = false;
   let steps = STEPS_LEAST;
 
-  const panel = new Panel({ hiddenChanged: () => paint(), replay: (name) => replay(name) }, KEYS);
+  const panel = new Panel({ hiddenChanged: () => (paint(), tellSeen()), replay: (name) => replay(name) }, KEYS);
   const picking = new Picking(picture);
+  const colouring = new Colouring(facts.structures, facts.inside, facts.oxygen, () => {
+    panel.setStructures(colouring.listed());
+    paint();
+  });
+  const lit = new Lit(picture.over, picture.heart);
+  const vessels = new Vessels(picture.scene, picture.heart.uniforms.cutPlane, tubes);
+  const marks = new Marks(/** @type {HTMLCanvasElement} */ (find("marks")), picture.camera);
+  picture.drawn.push(() => marks.draw());
+  const looking = new Looking(picture.camera, { changed: () => picture.move(), ended: () => tellSeen() });
   const pointer = new Pointer(find("scene"), picture.camera, {
     ask: (request) => (hands === null ? Promise.resolve({ kind: "done", used: false }) : hands.ask(request)),
     answered: (answer) => {
       if (answer.used) wake();
     },
     failed: (error) => stop(error),
-    changed: () => picture.redraw(),
+    changed: () => picture.move(),
     hasTool: () => hands !== null && hands.tool !== "" && played === null,
     isReady: () => hands !== null,
     cursorMoved: () => {
@@ -81,8 +100,31 @@ async function run() {
   });
 
   function paint() {
-    picture.heart.paint([...panel.structures, ...facts.tissue_inside], panel.hidden);
+    const painted = colouring.painted();
+    picture.heart.paint(painted, panel.hidden);
+    vessels.paint(painted, panel.hidden, colouring.lit);
+    const isShown = colouring.lit !== null && !panel.hidden.has(colouring.lit);
+    lit.show(isShown ? colouring.of(/** @type {number} */ (colouring.lit)) : undefined);
     picture.redraw();
+  }
+
+  /** @param {number | null} value */
+  function light(value) {
+    if (colouring.lit === value) return;
+    colouring.lit = value;
+    paint();
+  }
+
+  /** Landmarks and vessels lie where the heart is at rest, and are seen there alone. @param {boolean} isAtRest */
+  function tellRest(isAtRest) {
+    marks.marks = isAtRest ? facts.landmarks : [];
+    vessels.show(isAtRest);
+  }
+
+  function tellSeen() {
+    const side = sidesOf(picture.camera.towards).map((one) => say(/** @type {Word} */ (`offline_side_${one}`))).join(", ");
+    const total = panel.structures.length;
+    find("said").textContent = say("offline_seen_from", { side, count: total - panel.hidden.size, total });
   }
 
   /** @param {string} tool */
@@ -133,13 +175,14 @@ async function run() {
     picture.heart.takeTopology(topology);
     picture.heart.nodes?.takeAll(new Float32Array(4 * topology.header.node_count));
     changed();
+    tellRest(true);
     picture.tools.show({ instruments: [], stitches: [], patches: [] }, {});
   }
 
   function changed() {
     picture.heart.uniforms.displacements.value.needsUpdate = true;
     picture.heart.uniforms.nodeNormals.value.needsUpdate = true;
-    picture.redraw();
+    picture.move();
   }
 
   // Steps of the page's own engine
@@ -170,6 +213,7 @@ async function run() {
       if (played !== null || picture.heart.nodes === null) break;
       const most = picture.heart.nodes.takeAll(displacement);
       stillPictures = most < STILL && !hands.isUsed ? stillPictures + 1 : 0;
+      tellRest(!hands.isUsed && displacement.every((part) => Math.abs(part) < AT_REST));
       const shown = hands.shown();
       const areToolsNew = picture.tools.show({ instruments: shown, stitches: [], patches: [] }, {});
       panel.showForces({ mode: "running", instruments: shown.filter(({ kind }) => kind === "grab"), stitches: [], patches: [] });
@@ -218,6 +262,7 @@ async function run() {
       }
     }
     played.at = at;
+    tellRest(at === 0);
     /** @type {Record<string, any>} */
     const header = moments[at].at(-1)?.header ?? {};
     panel.showForces({ ...header, mode: "paused" });
@@ -275,26 +320,9 @@ async function run() {
     paint();
   }
 
-  // The plane that opens the heart
-  const cut = { axis: /** @type {HTMLSelectElement} */ (find("cut-axis")), depth: /** @type {HTMLInputElement} */ (find("cut-depth")) };
-  function setPlane() {
-    const [low, high] = box;
-    const chosen = cut.axis.value;
-    cut.depth.disabled = chosen === "";
-    const { plane } = picture;
-    if (chosen !== "") {
-      const axis = Number(chosen.slice(1));
-      const sign = chosen[0] === "+" ? 1 : -1;
-      /** @type {import("../operating/camera.js").Vector} */
-      const normal = [0, 0, 0];
-      normal[axis] = sign;
-      plane.put(normal);
-      plane.move((0.5 - Number(cut.depth.value) / 100) * (high[axis] - low[axis]));
-    }
-    plane.show(chosen !== "");
-  }
-  cut.axis.addEventListener("change", setPlane);
-  cut.depth.addEventListener("input", setPlane);
+  const planeControls = new PlaneControls(picture, () => {
+    marks.cut = picture.plane.isOn ? picture.plane.equation : null;
+  });
 
   const reset = () => {
     picture.camera.frame(...box);
@@ -302,6 +330,7 @@ async function run() {
   };
   /** @type {[string, () => void][]} */
   const clicks = [
+    ["hide-all", () => panel.hideAll()],
     ["smaller", () => resize(-1)], ["larger", () => resize(1)], ["reset-view", reset], ["play", playOrPause], ["begin", leaveRecording],
     ["as-at-start", () => {
       leaveTools();
@@ -310,6 +339,7 @@ async function run() {
     }],
   ];
   for (const [id, does] of clicks) find(id).addEventListener("click", does);
+  runView();
   /** @type {HTMLInputElement} */ (find("time")).addEventListener("input", (event) => {
     if (played === null) return;
     played.isRunning = false;
@@ -323,6 +353,7 @@ async function run() {
     const key = event.key.toLowerCase();
     const does = /** @type {Record<string, () => void>} */ ({
       o: () => take(""), g: () => take("g"), p: () => take("p"), a: () => panel.showAll(), home: reset, escape: leaveTools,
+      k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => resize(-1), "]": () => resize(1), ",": () => resize(-1), ".": () => resize(1),
     })[key];
     if (isInScene && pointer.key(event)) event.preventDefault();
@@ -332,23 +363,61 @@ async function run() {
     }
   });
 
+  /** What the tab with views and colours does, and what a row of the list and a click on the heart tell. */
+  function runView() {
+    const moves = /** @type {Record<string, () => void>} */ ({
+      turn_left: () => looking.turn(-1, 0), turn_right: () => looking.turn(1, 0), turn_up: () => looking.turn(0, -1),
+      turn_down: () => looking.turn(0, 1), nearer: () => looking.zoom(1), farther: () => looking.zoom(-1),
+    });
+    for (const button of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-side]"))) {
+      button.addEventListener("click", () => looking.moveTo(SIDES[/** @type {import("./looking.js").Side} */ (button.dataset.side)]));
+    }
+    for (const button of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-move]"))) {
+      button.addEventListener("click", moves[button.dataset.move ?? ""]);
+    }
+    const shows = /** @type {HTMLInputElement} */ (find("landmarks"));
+    shows.addEventListener("change", () => {
+      marks.areShown = shows.checked;
+      picture.redraw();
+    });
+    find("landmarks-row").hidden = facts.landmarks.length + tubes.length === 0;
+    const list = find("structures");
+    /** @param {Event} event */
+    const rowOf = (event) => {
+      const row = /** @type {HTMLElement | null} */ (/** @type {Element} */ (event.target).closest(".structure"));
+      return row ? Number(row.dataset.value) : null;
+    };
+    // a finger points at nothing before it presses
+    list.addEventListener("pointerover", (event) => event.pointerType !== "touch" && light(rowOf(event)));
+    list.addEventListener("pointerleave", () => light(null));
+    list.addEventListener("focusin", (event) => /** @type {Element} */ (event.target).matches(":focus-visible") && light(rowOf(event)));
+    list.addEventListener("focusout", () => light(null));
+    runNaming(find("scene"), (x, y) => {
+      if (hands !== null && hands.tool !== "") return;
+      const seen = picking.seen(x, y);
+      const found = seen && colouring.of(seen.structure);
+      find("said").textContent = found ? say("offline_this_is", { name: shownName(found) }) : say("offline_nothing_there");
+    });
+  }
+
   find("case-name").textContent = facts.name;
   find("not-device").textContent = facts.notice;
-  panel.setStructures(facts.structures);
+  panel.setStructures(colouring.listed());
   panel.showRecordings(data.recordings.map(({ name }) => name));
   find("tab-recordings").hidden = data.recordings.length === 0;
   picture.camera.frame(...box);
-  picture.plane.setBox(...box);
+  planeControls.setCase(facts.axes, box);
   showStart();
   paint();
+  language.follow(() => colouring.build());
   language.listen(() => {
     fillTools();
     tellEngine();
+    tellSeen();
   });
   runTheme();
   runLanguage();
   runTabs();
-  setPlane();
 
   let reason = "";
   function tellEngine() {
@@ -368,6 +437,7 @@ async function run() {
   }
   fillTools();
   for (const id of ["tools", "size-group", "as-at-start"]) find(id).hidden = engine === null;
+  find("tab-forces").hidden = engine === null && data.recordings.length === 0;
   tellEngine();
   Object.assign(open, { picture, engine, picking, panel, facts, data });
   find("curtain").hidden = true;
@@ -387,8 +457,9 @@ function latticeOf(message) {
 function stop(error) {
   find("curtain").hidden = false;
   find("curtain-bar").hidden = true;
-  find("curtain-words").textContent = say(error instanceof NoGraphics ? "no_graphics" : "offline_broken");
-  if (!(error instanceof NoGraphics)) console.error(error);
+  const word = error instanceof NoGraphics ? "offline_no_graphics" : error instanceof NoCase ? "offline_no_case" : "offline_broken";
+  find("curtain-words").textContent = say(word);
+  if (word === "offline_broken") console.error(error);
 }
 
 run().catch(stop);

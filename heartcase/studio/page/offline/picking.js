@@ -7,7 +7,7 @@ import { PLACE_FRAGMENT, VERTEX } from "../operating/placing.js";
 /** @typedef {import("../operating/camera.js").Vector} Vector */
 
 export class Picking {
-  #target = new three.WebGLRenderTarget(1, 1, { type: three.FloatType, minFilter: three.NearestFilter, magFilter: three.NearestFilter });
+  #target = new three.WebGLRenderTarget(1, 1, { type: three.FloatType, minFilter: three.NearestFilter, magFilter: three.NearestFilter, depthBuffer: true, stencilBuffer: true });
   #found = new Float32Array(4);
 
   /** @param {Picture} picture */
@@ -27,6 +27,14 @@ export class Picking {
    * @returns {Vector | null} LPS mm; null beside the heart
    */
   at(x, y) {
+    return this.seen(x, y)?.place ?? null;
+  }
+
+  /**
+   * @param {number} x @param {number} y pixels from the picture's upper left corner
+   * @returns {{place: Vector, structure: number} | null} place, LPS mm, and number of the structure; null beside the heart
+   */
+  seen(x, y) {
     const { picture } = this;
     const { renderer, eye, scene, camera, heart } = picture;
     if (heart.mesh === null) return null;
@@ -43,11 +51,12 @@ export class Picking {
     renderer.render(scene, eye);
     for (const one of others) one.visible = true;
     scene.overrideMaterial = null;
+    picture.caps.drawPlaces(renderer, scene, eye);
     renderer.readRenderTargetPixels(this.#target, 0, 0, 1, 1, this.#found);
     renderer.setRenderTarget(null);
     renderer.setClearAlpha(clear);
     eye.clearViewOffset();
     const [a, b, c, isHit] = this.#found;
-    return isHit > 0.5 ? [a, b, c] : null;
+    return isHit > 0.5 ? { place: [a, b, c], structure: Math.round(isHit) - 1 } : null;
   }
 }

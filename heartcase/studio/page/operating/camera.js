@@ -44,7 +44,8 @@ export class Camera {
   frame(low, high) {
     this.target = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2];
     this.size = Math.hypot(high[0] - low[0], high[1] - low[1], high[2] - low[2]);
-    this.distance = 1.6 * this.size;
+    // a picture that is higher than wide shows less aside
+    this.distance = (1.6 * this.size) / Math.min(1, this.width / this.height);
     // from the front, somewhat left and above
     this.look([0.45, -1, 0.25]);
   }
@@ -83,6 +84,12 @@ export class Camera {
     // no drift: the axes are made perpendicular again
     this.up = unit(cross(this.towards, right));
     this.right = cross(this.up, this.towards);
+  }
+
+  /** @param {number} angle by which what is seen goes round, clockwise */
+  roll(angle) {
+    this.right = unit(turned(this.right, this.towards, angle));
+    this.up = cross(this.towards, this.right);
   }
 
   /** @param {number} across @param {number} down pixels that the pointer went: what is seen goes with it */

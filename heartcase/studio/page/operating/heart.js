@@ -6,7 +6,7 @@ import { Nodes, ROW } from "./nodes.js";
 import { ATTRIBUTES, FRAGMENT, LINE_FRAGMENT, LINE_VERTEX, VERTEX } from "./placing.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
-/** @typedef {{value: number, colour: string}} Structure */
+/** `pattern` tells structures apart without colour: 1 is level lines, 2 slanting ones. @typedef {{value: number, colour: string, pattern?: number}} Structure */
 /** A coarser level, and its materials: of a surface of which all is seen, and of others. @typedef {{level: number, mesh: any, whole: any, open: any}} Coarse */
 
 const STRUCTURES_MOST = 257;
@@ -73,9 +73,10 @@ export class Heart {
 
   /** @param {readonly Structure[]} structures @param {ReadonlySet<number>} hidden */
   paint(structures, hidden) {
-    for (const { value, colour } of structures) {
+    for (const { value, colour, pattern = 0 } of structures) {
+      if (value >= STRUCTURES_MOST) continue;
       const rgb = Number.parseInt(colour.slice(1), 16);
-      const isShown = hidden.has(value) ? 0 : 255;
+      const isShown = hidden.has(value) ? 0 : 255 - 40 * pattern;
       this.#colours.set([rgb >> 16, (rgb >> 8) & 255, rgb & 255, isShown], 4 * value);
     }
     this.uniforms.palette.value.needsUpdate = true;

@@ -1,17 +1,24 @@
 /** The page on which a case moves: puts its parts together, and hands them what the server sends. */
 
+import { Beside } from "../figures/beside.js";
+import { LiveFigures } from "../figures/live_figures.js";
+import { Plans } from "../figures/plans.js";
 import { runTabs } from "../panel/tiles.js";
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
 import { fillWords, figure, isWord, language, say } from "../shared/words.js";
-import { LiveFigures } from "./figures.js";
+import { SceneShower } from "../touring/scene.js";
+import { TourPanel } from "../touring/tour_panel.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
 import { PlaneControls } from "./plane_controls.js";
 import { Pointer } from "./pointer.js";
+import { ScanControls } from "./scan_controls.js";
+import { SecondView } from "./second_view.js";
+import { Surroundings } from "./surroundings.js";
 import { TimeLine } from "./time_line.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
@@ -30,11 +37,11 @@ language.follow((name) => {
   fillWords(document);
 });
 
-/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any}} */
-export const open = { picture: null, header: null };
+/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any, tour: TourPanel | null}} */
+export const open = { picture: null, header: null, tour: null };
 
 function run() {
-  const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")));
+  const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")), find("scene"));
   open.picture = picture;
   const url = new URL(location.pathname.replace("/operate/", "/operating/"), location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -51,44 +58,96 @@ function run() {
   /** @param {Record<string, unknown> & {do: string}} request */
   const ask = (request) => {
     if (!isReady) return;
+    beside.pass(request);
     connection.ask(request).then(answered, fault);
   };
+  const beside = new Beside(picture, {
+    askMain: (request) => connection.ask(request).then(answered, fault),
+    painted: () => [[...panel.structures, ...tissueInside], panel.hidden],
+    mainHeader: () => open.header,
+    failed: fault,
+  });
   const panel = new Panel({
     hiddenChanged: () => {
       paint();
       ask({ do: "hide", structures: [...panel.hidden] });
     },
-    replay: (name) => {
-      forget();
-      ask({ do: "replay", name });
+    replay,
+  });
+  const plans = new Plans({
+    ask,
+    replay,
+    sideBySide: ([one, other]) => {
+      replay(one);
+      beside.open(other, one);
     },
   });
   const figures = new LiveFigures(ask);
   const timeLine = new TimeLine((step) => {
     forget();
-    return connection.ask({ do: "command", command: { kind: "go_to", step } });
+    const request = { do: "command", command: { kind: "go_to", step } };
+    beside.pass(request);
+    return connection.ask(request);
   });
   picture.detail.wanted = () => ask({ do: "coarser" });
-  const pointer = new Pointer(find("scene"), picture.camera, {
-    ask: (request) => connection.ask(request),
-    answered,
-    failed: fault,
-    changed: () => picture.move(),
-    hasTool: () => tool !== "",
-    isReady: () => isReady,
-    cursorMoved: () => {
-      const { cursor } = pointer;
-      find("cursor").hidden = cursor === null;
-      if (cursor) Object.assign(find("cursor").style, { left: `${cursor.x}px`, top: `${cursor.y}px` });
+  const second = new SecondView(picture);
+  /** @param {string} surface @param {import("./camera.js").Camera} camera @param {string} cursor @returns {Pointer} */
+  const pointerOn = (surface, camera, cursor) => {
+    const made = new Pointer(find(surface), camera, {
+      ask: (request) => connection.ask(request),
+      answered,
+      failed: fault,
+      changed: () => picture.move(),
+      // one hand acts at a time
+      hasTool: () => tool !== "" && pointers.every((one) => one === made || !one.isUsed),
+      isReady: () => isReady,
+      cursorMoved: () => {
+        find(cursor).hidden = made.cursor === null;
+        if (made.cursor) Object.assign(find(cursor).style, { left: `${made.cursor.x}px`, top: `${made.cursor.y}px` });
+      },
+    });
+    for (const name of ["pointerenter", "pointerdown", "focus"]) find(surface).addEventListener(name, () => (pointer = made));
+    return made;
+  };
+  /** @type {Pointer[]} */
+  const pointers = [];
+  pointers.push(pointerOn("scene", picture.camera, "cursor"), pointerOn("scene-2", second.camera, "cursor-2"));
+  /** That of the view which was used last. */
+  let pointer = pointers[0];
+  const shower = new SceneShower(picture);
+  const tour = new TourPanel(find("panel-tour"), {
+    show: (scene) => {
+      panel.hide(scene.hidden);
+      shower.setPlane(scene.plane);
+      if (strain.checked !== scene.stretch) strain.click();
+      if (scene.view !== null) shower.goTo(scene.view);
+    },
+    enter: (number, step) => {
+      forget();
+      ask({ do: "tour", tour: number, step });
     },
   });
 
+  open.tour = tour;
   const planeControls = new PlaneControls(picture, (plane) => ask({ do: "cut_open", plane }));
   /** Colours of tissue that lies inside alone. @type {{value: number, colour: string}[]} */
   let tissueInside = [];
 
+  const scanControls = new ScanControls(picture, (request) => connection.ask(request), fault);
+  const surroundings = new Surroundings(picture.scene);
+  const surrounds = /** @type {HTMLInputElement} */ (find("surroundings"));
+  surrounds.addEventListener("change", () => {
+    surroundings.group.visible = surrounds.checked;
+    picture.redraw();
+  });
+  /** @param {string} name */
+  function replay(name) {
+    forget();
+    ask({ do: "replay", name });
+  }
+
   function forget() {
-    pointer.forget();
+    for (const one of pointers) one.forget();
     picture.tools.showLine([]);
     picture.redraw();
   }
@@ -96,12 +155,13 @@ function run() {
   function paint() {
     picture.heart.paint([...panel.structures, ...tissueInside], panel.hidden);
     picture.redraw();
+    beside.repaint();
   }
 
   /** @param {string} key */
   function take(key) {
     tool = key;
-    pointer.forget();
+    for (const one of pointers) one.forget();
     document.body.dataset.tool = key;
     for (const button of find("tools").querySelectorAll("button")) {
       button.setAttribute("aria-pressed", String(button.dataset.key === key));
@@ -147,7 +207,7 @@ function run() {
     }
     picture.tools.showLine(answer.line_mm);
     picture.redraw();
-    if (answer.recordings) panel.showRecordings(answer.recordings);
+    if (answer.recordings) plans.showRecordings(answer.recordings);
     if (answer.used === false && answer.id === lettingGo) notice("", [{ place: "", message: say("operate_nothing_held") }]);
   }
 
@@ -175,7 +235,8 @@ function run() {
     strain: () => /** @type {HTMLInputElement} */ (find("strain")).click(),
     showAll: () => panel.showAll(),
     reset: () => {
-      picture.camera.frame(...box);
+      if (pointer === pointers[1] && second.isShown) second.reset();
+      else picture.camera.frame(...box);
       picture.redraw();
     },
   };
@@ -207,7 +268,7 @@ function run() {
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented) return;
     const target = /** @type {Element} */ (event.target);
-    const isInScene = target.closest("#scene") !== null;
+    const isInScene = target.closest(".scene-tile .surface") !== null;
     if (isInScene && !event.ctrlKey && !event.metaKey && !event.altKey && pointer.key(event)) {
       event.preventDefault();
       return;
@@ -237,17 +298,19 @@ function run() {
     const found = /** @type {Record<string, () => void>} */ ({
       u: actions.undo, y: actions.redo, b: actions.back, l: actions.play, t: actions.tie, w: actions.record, v: actions.strain,
       x: () => actions.letGo(true), a: actions.showAll, home: actions.reset, escape: actions.putDown, " ": actions.pause,
-      k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
+      i: () => second.toggle(), d: () => surrounds.click(), k: () => planeControls.toggle(), "<": () => planeControls.step(-1), ">": () => planeControls.step(1),
       "[": () => actions.resize(-1), "]": () => actions.resize(1), ",": () => actions.resize(-1), ".": () => actions.resize(1),
     });
-    return found[key] ?? null;
+    return found[key] ?? tour.action(key);
   }
 
   /** @param {Message} message */
   function hear(message) {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
     else if (message.kind === "opened") begin(message);
+    else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
     else if (message.kind === "figures") figures.hear(message);
+    else if (message.kind === "plans") plans.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
@@ -280,7 +343,16 @@ function run() {
     take(tool);
     ask({ do: "hide", structures: [...panel.hidden] });
     planeControls.setCase(message.heart_axes, box);
+    second.setCase(message.heart_axes.planes, box);
+    surroundings.setCase(box, message.cannulae);
+    scanControls.setCase(message.scan, box);
+    find("recipe").hidden = message.recipe === null;
+    if (message.recipe !== null) /** @type {HTMLAnchorElement} */ (find("recipe")).href = message.recipe;
     if (strain.checked) ask({ do: "strain", shown: true });
+    connection.ask({ do: "tours" }).then((answer) => {
+      tour.setTours(answer.tours, answer.tour_problems);
+      find("tab-tour").hidden = answer.tours.length + answer.tour_problems.length === 0;
+    }, fault);
     // what draws needs a processor of those that step
     if (picture.isDrawnInSoftware) ask({ do: "spare" });
     picture.detail.begin();
@@ -303,6 +375,10 @@ function run() {
       picture.heart.takeNormalMap(arrays.png).then(() => picture.redraw(), fault);
       return;
     }
+    if (header.kind === "slice") {
+      scanControls.take(header, arrays);
+      return;
+    }
     const isHeartNew = picture.heart.takeFrame(message, arrays);
     const areToolsNew = picture.tools.show(header, arrays);
     if (isHeartNew) picture.move();
@@ -311,6 +387,7 @@ function run() {
     open.header = header;
     panel.showForces(header);
     timeLine.show(header);
+    beside.keepTogether();
     showState(header, before);
     // The next one comes when this one is drawn: a page that is slow or hidden is sent the newest then.
     requestAnimationFrame(() => connection.tell({ do: "seen", frame: header.frame }));

@@ -4,7 +4,7 @@ import { element, icon } from "../panel/structures.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/words.js").Word} Word */
-/** @typedef {{value: number, name: string, colour: string}} Structure */
+/** @typedef {import("./heart.js").Structure & {name: string, word?: Word}} Structure */
 
 const FORCES_EVERY_MS = 250;
 
@@ -28,11 +28,13 @@ export const HELP = [
   ["B  L", "operate_help_back"],
   ["W", "operate_help_record"],
   ["V  A  Home", "operate_help_view"],
+  ["D  M  I", "tour_help"],
   ["K  <  >", "scene_help_plane"],
+  ["I  D", "scene_help_views"],
 ];
 
 /** Name of a structure in a list. @param {Structure} one */
-const shownName = (one) => (one.name === "cut faces" && isWord("operate_cut_faces") ? say("operate_cut_faces") : one.name);
+export const shownName = (one) => (one.name === "cut faces" && isWord("operate_cut_faces") ? say("operate_cut_faces") : one.word ? say(one.word) : one.name);
 
 export class Panel {
   /** @type {Set<number>} */
@@ -65,7 +67,18 @@ export class Panel {
   }
 
   showAll() {
-    this.hidden.clear();
+    this.hide([]);
+  }
+
+  /** Hide these structures, and show all others. @param {readonly number[]} numbers */
+  hide(numbers) {
+    this.hidden = new Set(numbers);
+    this.#build();
+    this.does.hiddenChanged();
+  }
+
+  hideAll() {
+    for (const { value } of this.#structures) this.hidden.add(value);
     this.#build();
     this.does.hiddenChanged();
   }
@@ -74,6 +87,7 @@ export class Panel {
     find("structures").replaceChildren(
       ...this.#structures.map((one) => {
         const row = element("li", "structure");
+        row.dataset.value = String(one.value);
         const chip = element("span", "chip");
         chip.style.background = one.colour;
         const show = element("button", "show");

@@ -76,6 +76,8 @@ out vec4 seenTangent;
 out vec2 mapAt;
 out float stretchHere;
 flat out vec3 colour;
+/* Pattern, and number of the structure. */
+flat out vec2 kind;
 out vec3 here;
 
 void main() {
@@ -84,6 +86,7 @@ void main() {
   vec4 look = texelFetch(palette, ivec2(int(structure + 0.5), 0), 0);
   vec4 seen = viewMatrix * vec4(placeMm, 1.0);
   colour = look.rgb;
+  kind = vec2(round((1.0 - look.a) * 255.0 / 40.0), structure);
   here = placeMm;
   seenNormal = mat3(viewMatrix) * normal;
   seenTangent = vec4(mat3(viewMatrix) * tangentHere, tangent.w);
@@ -104,6 +107,7 @@ in vec4 seenTangent;
 in vec2 mapAt;
 in float stretchHere;
 flat in vec3 colour;
+flat in vec2 kind;
 in vec3 here;
 /* What lies beyond this plane is not drawn: normal, and how far it is from the origin, LPS mm. */
 uniform vec4 cutPlane;
@@ -126,6 +130,8 @@ void main() {
 #endif
   if (!gl_FrontFacing) normal = -normal;
   vec3 own = showsStretch ? texture(stretchColours, vec2(clamp(stretchHere, 0.0, 1.0) * 0.9961 + 0.00195, 0.5)).rgb : colour;
+  if (kind.x > 1.5 && mod(gl_FragCoord.x + gl_FragCoord.y, 11.0) < 3.0) own = mix(own, vec3(1.0), 0.42);
+  else if (kind.x > 0.5 && kind.x < 1.5 && mod(gl_FragCoord.y, 9.0) < 1.5) own *= 0.72;
   vec3 light = normalize(eye + vec3(0.15, 0.45, 0.0));
   float bright = 0.24 + 0.12 * normal.y + 0.72 * max(dot(normal, light), 0.0);
   float shine = 0.16 * pow(max(dot(normal, normalize(light + eye)), 0.0), 24.0);
@@ -133,23 +139,24 @@ void main() {
 }
 `;
 
-/* The place itself, for whoever asks what lies under the pointer. */
+/* The place itself and one more than the structure's number, for whoever asks what lies under the pointer. */
 export const PLACE_FRAGMENT = `
 precision highp float;
 precision highp sampler2D;
 in vec3 seenNormal, toEye;
 in float stretchHere;
 flat in vec3 colour;
+flat in vec2 kind;
 in vec3 here;
 uniform vec4 cutPlane;
 out vec4 drawn;
 
 void main() {
   if (dot(cutPlane.xyz, here) > cutPlane.w) discard;
-  drawn = vec4(here, 1.0);
+  drawn = vec4(here, 1.0 + kind.y);
 }
 `;
 
 /* Lines on the surface, a little before it. */
 export const LINE_VERTEX = VERTEX.replace("projectionMatrix * seen", "projectionMatrix * vec4(seen.xyz * 0.997, 1.0)");
-export const LINE_FRAGMENT = PLACE_FRAGMENT.replace("vec4(here, 1.0)", "vec4(0.16, 0.02, 0.02, 1.0)");
+export const LINE_FRAGMENT = PLACE_FRAGMENT.replace("vec4(here, 1.0 + kind.y)", "vec4(0.16, 0.02, 0.02, 1.0)");

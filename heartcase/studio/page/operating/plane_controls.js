@@ -5,10 +5,11 @@ import { PlaneHandles } from "../section/handles.js";
 import { SIDES } from "../section/plane.js";
 import { isWord, language, say } from "../shared/words.js";
 import { dot } from "./camera.js";
+import { lookFrom } from "./second_view.js";
 
 /** @typedef {import("./camera.js").Vector} Vector */
 /** @typedef {import("./picture.js").Picture} Picture */
-/** @typedef {{right: Vector, down: Vector, towards: Vector}} HeartPlane */
+/** Its place is the middle of the long axis where it has none of its own. @typedef {{right: Vector, down: Vector, towards: Vector, point_mm?: Vector}} HeartPlane */
 
 const STEP_MM = 1;
 
@@ -39,7 +40,11 @@ export class PlaneControls {
     find("cut-open").addEventListener("click", () => this.toggle());
     find("cut-flip").addEventListener("click", () => plane.flip());
     find("cut-face").addEventListener("click", () => this.#face());
-    this.#axis.addEventListener("change", () => this.#put(this.#axis.value));
+    this.#axis.addEventListener("change", () => {
+      this.#put(this.#axis.value);
+      // of what is chosen by its name one wants to see the cut
+      if (this.#axis.value !== "" && this.#axis.value !== "look") this.#face();
+    });
     this.#depth.addEventListener("input", () => plane.move(Number(this.#depth.value) - plane.depth));
     find("scene").addEventListener("wheel", (event) => this.#wheel(event), { capture: true, passive: false });
     plane.listen(() => this.#changed());
@@ -90,7 +95,7 @@ export class PlaneControls {
     this.#wasPut = true;
     this.#isPutting = true;
     const own = this.#planes[name];
-    if (own) plane.put(own.towards, this.#centre ?? plane.middle);
+    if (own) plane.put(own.towards, own.point_mm ?? this.#centre ?? plane.middle);
     else if (name === "look") plane.put(camera.towards);
     else if (name in SIDES) plane.put(SIDES[name]);
     this.#axis.value = name;
@@ -101,10 +106,10 @@ export class PlaneControls {
   /** Look straight at the plane, from the side that was taken away. */
   #face() {
     const { plane, camera } = this.picture;
-    const own = this.#planes[this.#axis.value];
+    const name = this.#axis.value;
     camera.target = plane.point;
-    if (own && dot(own.towards, plane.normal) > 0.999) camera.stand(own.right, [-own.down[0], -own.down[1], -own.down[2]]);
-    else camera.stand(...plane.axes);
+    if (name === "" || name === "look") camera.stand(...plane.axes);
+    else lookFrom(camera, name, this.#planes);
     this.picture.redraw();
   }
 

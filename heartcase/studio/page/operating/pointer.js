@@ -10,6 +10,11 @@
 /** @typedef {(request: Record<string, unknown> & {do: string}) => Promise<Message>} Ask */
 
 const ZOOM_PER_PIXEL = 0.0015;
+/** A finger takes the tool when it stays so long alone, ms, or goes so far, pixels: a second one may be on its way. */
+const ALONE_MS = 120;
+const ALONE_PIXELS = 8;
+/** Fingers that are nearer to each other roll nothing, pixels. */
+const APART_LEAST = 30;
 const KEY_TURN = 24;
 const KEY_LEAD = 6;
 const KEY_ZOOM = 1.15;
@@ -17,14 +22,17 @@ const KEY_ZOOM = 1.15;
 export class Pointer {
   /** @type {Map<number, {x: number, y: number}>} */
   #fingers = new Map();
-  /** @type {"none" | "asking" | "tool" | "turn" | "move" | "pinch"} */
+  /** @type {"none" | "waiting" | "asking" | "tool" | "turn" | "move" | "pinch"} */
   #doing = "none";
+  /** Ends the waiting of a finger that is alone so far. */
+  #alone = 0;
   /** @type {{x: number, y: number}} */
   #last = { x: 0, y: 0 };
   /** Where the tool shall be led next. @type {{x: number, y: number} | null} */
   #next = null;
   #isAsking = false;
   #isReleased = false;
+  #hasPen = false;
   /** Place of the pointer that keys lead; null while they lead none. @type {{x: number, y: number} | null} */
   cursor = null;
 
@@ -60,6 +68,7 @@ export class Pointer {
 
   /** The line is gone, or time went elsewhere: nothing is in use any more. */
   forget() {
+    clearTimeout(this.#alone);
     this.#doing = "none";
     this.#next = null;
     this.#isReleased = false;
@@ -75,12 +84,23 @@ export class Pointer {
 
   /** @param {PointerEvent} event */
   #down(event) {
+    // the hand that holds a pen rests on the glass
+    if (event.pointerType === "touch" && this.#hasPen) return;
     const place = this.#place(event);
+    const isTouch = event.pointerType === "touch";
+    // a hand that rests on the screen while an instrument is led does nothing
+    if (isTouch && (this.#doing === "tool" || this.#doing === "asking")) return;
     this.endKeys();
+    if (event.pointerType === "pen") this.#hasPen = true;
+    if (!isTouch && (this.#doing === "pinch" || this.#doing === "waiting")) {
+      // a pen goes before the hand that holds it
+      this.#fingers.clear();
+      this.forget();
+    }
     this.surface.setPointerCapture(event.pointerId);
     this.#fingers.set(event.pointerId, place);
-    if (this.#fingers.size === 2 && event.pointerType === "touch") {
-      this.#release();
+    if (isTouch && this.#fingers.size >= 2) {
+      clearTimeout(this.#alone);
       this.#doing = "pinch";
       return;
     }
@@ -88,8 +108,17 @@ export class Pointer {
     this.#last = place;
     const isFirst = event.button === 0;
     if (event.button === 1 || (isFirst && event.shiftKey)) this.#doing = "move";
-    else if (isFirst && this.does.hasTool() && this.does.isReady()) void this.#press(place);
-    else this.#doing = "turn";
+    else if (!isFirst || !this.does.hasTool() || !this.does.isReady()) this.#doing = "turn";
+    else if (isTouch) {
+      this.#doing = "waiting";
+      this.#alone = Number(setTimeout(() => this.#begin(), ALONE_MS));
+    } else void this.#press(place);
+  }
+
+  /** The finger stayed alone: it has the tool, where it came down. */
+  #begin() {
+    clearTimeout(this.#alone);
+    if (this.#doing === "waiting") void this.#press(this.#last);
   }
 
   /** @param {PointerEvent} event */
@@ -101,6 +130,7 @@ export class Pointer {
     }
     if (this.#doing === "pinch") this.#pinch(event.pointerId, place);
     this.#fingers.set(event.pointerId, place);
+    if (this.#doing === "waiting" && Math.hypot(place.x - this.#last.x, place.y - this.#last.y) > ALONE_PIXELS) this.#begin();
     if (this.#doing === "turn") this.#turn(place);
     else if (this.#doing === "move") {
       this.camera.move(place.x - this.#last.x, place.y - this.#last.y);
@@ -111,7 +141,9 @@ export class Pointer {
 
   /** @param {PointerEvent} event */
   #up(event) {
+    if (event.pointerType === "pen") this.#hasPen = false;
     if (!this.#fingers.delete(event.pointerId)) return;
+    if (this.#doing === "waiting") this.#begin();
     if (this.#doing === "tool" || this.#doing === "asking") this.#release();
     else if (this.#fingers.size === 0) this.#doing = "none";
   }
@@ -134,14 +166,21 @@ export class Pointer {
     this.does.changed();
   }
 
-  /** @param {number} id @param {{x: number, y: number}} place */
+  /** Two fingers turn, roll and zoom; three move and zoom. @param {number} id @param {{x: number, y: number}} place */
   #pinch(id, place) {
-    const other = [...this.#fingers].find(([one]) => one !== id)?.[1];
+    const others = [...this.#fingers].filter(([one]) => one !== id).map(([, one]) => one);
     const before = this.#fingers.get(id);
-    if (other === undefined || before === undefined) return;
-    this.camera.move((place.x - before.x) / 2, (place.y - before.y) / 2);
-    const apart = Math.hypot(place.x - other.x, place.y - other.y);
-    const was = Math.hypot(before.x - other.x, before.y - other.y);
+    if (others.length === 0 || before === undefined) return;
+    const share = 1 / (others.length + 1);
+    const [across, down] = [share * (place.x - before.x), share * (place.y - before.y)];
+    const other = { x: others.reduce((sum, one) => sum + one.x, 0) / others.length, y: others.reduce((sum, one) => sum + one.y, 0) / others.length };
+    const [apart, was] = [place, before].map((one) => Math.hypot(one.x - other.x, one.y - other.y));
+    if (others.length > 1) this.camera.move(across, down);
+    else {
+      this.camera.turn(across, down);
+      const [now, then] = [place, before].map((one) => Math.atan2(one.y - other.y, one.x - other.x));
+      if (apart > APART_LEAST && was > APART_LEAST) this.camera.roll(((now - then + 3 * Math.PI) % (2 * Math.PI)) - Math.PI);
+    }
     if (apart > 1 && was > 1) this.camera.zoom(apart / was);
     this.does.changed();
   }
@@ -152,7 +191,12 @@ export class Pointer {
     this.#isReleased = false;
     this.#next = null;
     const answer = await this.#ask({ do: "press", pointer: this.camera.at(place.x, place.y) });
-    if (/** @type {string} */ (this.#doing) !== "asking") return;
+    if (/** @type {string} */ (this.#doing) !== "asking") {
+      // a second finger came before the answer: what was taken hold of is let go
+      if (answer?.used && this.#isReleased) void this.#ask({ do: "release", pointer: this.camera.at(place.x, place.y) });
+      this.#isReleased = false;
+      return;
+    }
     if (answer?.used) {
       this.#doing = "tool";
       void this.#go();
@@ -163,7 +207,9 @@ export class Pointer {
     this.#isReleased = false;
     const next = this.#next;
     this.#next = null;
-    if (this.#doing === "turn" && next) this.#turn(next);
+    // also by the way that the pointer went, or went and ended, while that was asked
+    this.#last = place;
+    if (next) this.#turn(next);
   }
 
   /** @param {{x: number, y: number}} place */

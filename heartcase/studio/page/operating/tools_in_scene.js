@@ -20,6 +20,7 @@ export class ToolsInScene {
     this.stitches = new three.LineSegments(new three.BufferGeometry(), new three.LineBasicMaterial({ color: 0x101418 }));
     this.drawn = new three.Line(new three.BufferGeometry(), new three.LineBasicMaterial({ color: LINE_COLOUR }));
     this.points = new three.Points(new three.BufferGeometry(), new three.PointsMaterial({ color: LINE_COLOUR, size: 7, sizeAttenuation: false }));
+    this.stitches.material.clippingPlanes = [this.#clipping];
     this.patches = new three.Group();
     scene.add(this.patches);
     for (const one of [this.stitches, this.drawn, this.points]) {
@@ -71,6 +72,12 @@ export class ToolsInScene {
     return true;
   }
 
+  /** What lies beyond a plane is not seen: patches and stitches. @param {readonly [number, number, number, number]} equation */
+  clip([x, y, z, at]) {
+    this.#clipping.normal.set(-x, -y, -z);
+    this.#clipping.constant = at;
+  }
+
   /** @param {readonly number[][]} line LPS mm */
   showLine(line) {
     this.#setPoints(this.drawn, line.flat());
@@ -117,5 +124,6 @@ export class ToolsInScene {
     }
   }
 
-  #patchMaterial = new three.MeshLambertMaterial({ color: 0xf5deb3, side: three.DoubleSide });
+  #clipping = new three.Plane(new three.Vector3(), 1);
+  #patchMaterial = new three.MeshLambertMaterial({ color: 0xf5deb3, side: three.DoubleSide, clippingPlanes: [this.#clipping] });
 }

@@ -54,7 +54,9 @@ export function runTabs(onChosen = (/** @type {string} */ _id) => {}) {
       const step = event.key === "ArrowRight" ? 1 : event.key === "ArrowLeft" ? -1 : 0;
       if (step === 0) return;
       event.preventDefault();
-      const next = tabs[(n + step + tabs.length) % tabs.length];
+      let at = n + step + tabs.length;
+      while (tabs[at % tabs.length].hidden) at += step;
+      const next = tabs[at % tabs.length];
       choose(next);
       next.focus();
     });

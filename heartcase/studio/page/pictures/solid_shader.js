@@ -66,6 +66,12 @@ void main() {
   }
 }`;
 
+/** Time of a strip of a picture: other pictures wait for it. */
+const STRIP_MS = 10;
+const FEWEST_ROWS = 8;
+const FIRST_ROWS = 64;
+const WAIT_MS = 4;
+
 export class SolidShader {
   /** @param {WebGL2RenderingContext} gl */
   constructor(gl) {
@@ -77,30 +83,69 @@ export class SolidShader {
     this.width = this.height = 0;
     /** A picture is not done yet: the next one waits for it. */
     this.isBusy = false;
+    /** Rows of a strip that take about as long as they may. */
+    this.rows = FIRST_ROWS;
   }
 
   /**
-   * Draw into a part of the canvas.
+   * Draw into a part of the canvas, strip by strip: it is seen when all are done.
    * @param {Volume} volume
    * @param {Lattice} lattice
    * @param {Camera} camera
    * @param {Vector} look away from the viewer, unit vector
-   * @param {{x: number, y: number, width: number, height: number}} part of the canvas, device pixels from below
+   * @param {() => {x: number, y: number, width: number, height: number}} part of the canvas, device pixels from below
    * @param {number} share of the pixels' number across and down that is worked out
+   * @param {() => "now" | "later" | "never"} when the next strip may be drawn: looked at now and then
    * @param {(ms: number) => void} onDone told how long it took: that decides how finely it is drawn while it turns
    */
-  draw(volume, lattice, camera, look, part, share, onDone) {
+  draw(volume, lattice, camera, look, part, share, when, onDone) {
+    const width = Math.max(Math.round(part().width * share), 1);
+    const height = Math.max(Math.round(part().height * share), 1);
+    const job = { volume, lattice, camera, look, width, height };
+    // what it is seen from must not change under way
+    const steps = camera.toIndexSteps(lattice.centre, lattice);
+    const light = lightOf(camera, look);
+    let [row, ms] = [0, 0];
+    this.isBusy = true;
+    const step = () => {
+      const now = when();
+      if (now === "later") setTimeout(step, WAIT_MS);
+      if (now === "never") this.isBusy = false;
+      if (now !== "now") return;
+      const rows = Math.min(this.rows, height - row);
+      const began = performance.now();
+      this.#drawStrip({ ...job, steps, light }, row, rows);
+      row += rows;
+      if (row === height) this.#show(part(), width, height);
+      this.#await(() => {
+        const took = performance.now() - began;
+        ms += took;
+        this.rows = Math.max(Math.round(rows * Math.min(STRIP_MS / took, 4)), FEWEST_ROWS);
+        if (row < height) step();
+        else {
+          this.isBusy = false;
+          onDone(ms);
+        }
+      });
+    };
+    step();
+  }
+
+  /**
+   * @param {{volume: Volume, lattice: Lattice, camera: Camera, look: Vector, width: number, height: number,
+   *   steps: {origin: Vector, across: Vector, along: Vector}, light: Vector}} job
+   * @param {number} row
+   * @param {number} rows
+   */
+  #drawStrip({ volume, lattice, camera, look, width, height, steps, light }, row, rows) {
     const { gl } = this;
-    const began = performance.now();
-    const width = Math.max(Math.round(part.width * share), 1);
-    const height = Math.max(Math.round(part.height * share), 1);
-    gl.disable(gl.SCISSOR_TEST);
     this.#prepare(width, height);
     gl.viewport(0, 0, width, height);
+    gl.scissor(0, row, width, rows);
     gl.useProgram(this.program);
     gl.bindVertexArray(this.array);
     const at = (/** @type {string} */ name) => gl.getUniformLocation(this.program, name);
-    const { origin, across, along } = camera.toIndexSteps(lattice.centre, lattice);
+    const { origin, across, along } = steps;
     const [pixelAcross, pixelAlong] = [camera.width / width, camera.height / height];
     gl.uniform3f(at("origin"), ...origin);
     gl.uniform3f(at("across"), across[0] * pixelAcross, across[1] * pixelAcross, across[2] * pixelAcross);
@@ -109,7 +154,7 @@ export class SolidShader {
     gl.uniform3f(at("size"), ...volume.size);
     gl.uniform1f(at("height"), height);
     gl.uniformMatrix3fv(at("toPatient"), false, lattice.inverse.flat());
-    gl.uniform3f(at("light"), ...lightOf(camera, look));
+    gl.uniform3f(at("light"), ...light);
     const textures = /** @type {const} */ ([
       ["labels", gl.TEXTURE_3D, volume.labelTexture],
       ["blocks", gl.TEXTURE_3D, volume.blockTexture],
@@ -122,29 +167,33 @@ export class SolidShader {
     });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.activeTexture(gl.TEXTURE0);
-    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
-    const { x, y } = part;
-    gl.blitFramebuffer(0, 0, width, height, x, y, x + part.width, y + part.height, gl.COLOR_BUFFER_BIT, gl.LINEAR);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.enable(gl.SCISSOR_TEST);
-    this.#await(/** @type {WebGLSync} */ (gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0)), began, onDone);
-    gl.flush();
   }
 
-  /** Look now and then whether the card is done. @param {WebGLSync} sync @param {number} began @param {(ms: number) => void} onDone */
-  #await(sync, began, onDone) {
+  /** @param {{x: number, y: number, width: number, height: number}} part @param {number} width @param {number} height */
+  #show({ x, y, width: toWidth, height: toHeight }, width, height) {
     const { gl } = this;
-    this.isBusy = true;
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, this.frame);
+    gl.blitFramebuffer(0, 0, width, height, x, y, x + toWidth, y + toHeight, gl.COLOR_BUFFER_BIT, gl.LINEAR);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, null);
+    gl.enable(gl.SCISSOR_TEST);
+  }
+
+  /** Look now and then whether the card is done. @param {() => void} onDone */
+  #await(onDone) {
+    const { gl } = this;
+    const sync = /** @type {WebGLSync} */ (gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0));
+    gl.flush();
     const look = () => {
       if (!gl.isContextLost() && gl.clientWaitSync(sync, 0, 0) === gl.TIMEOUT_EXPIRED) {
-        setTimeout(look, 4);
+        setTimeout(look, WAIT_MS);
         return;
       }
       gl.deleteSync(sync);
-      this.isBusy = false;
-      onDone(performance.now() - began);
+      onDone();
     };
-    setTimeout(look, 4);
+    setTimeout(look, WAIT_MS);
   }
 
   /** @param {number} width @param {number} height */

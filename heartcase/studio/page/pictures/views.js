@@ -25,6 +25,7 @@ export class Views {
   /** @type {Volume | null} */
   volume = null;
   #isAsked = false;
+  #waits = false;
   /** Whether the 3-D picture shows the surface that came, and whether it is cut open at the crosshair. */
   surfaceShown = false;
   surfaceCut = false;
@@ -138,6 +139,27 @@ export class Views {
     this.#ask();
   }
 
+  /**
+   * Labels of several boxes came, one after the other in the bytes.
+   * @param {readonly number[][]} boxes first voxel and size of each
+   * @param {Uint8Array<ArrayBuffer>} bytes
+   */
+  setBoxes(boxes, bytes) {
+    let at = 0;
+    for (const [i, j, k, ...size] of boxes) {
+      const count = size[0] * size[1] * size[2];
+      this.setLabels([i, j, k], /** @type {Vector} */ (size), bytes.subarray(at, at + count));
+      at += count;
+    }
+    if (at !== bytes.length) throw new Error("labels have not as many bytes as voxels");
+  }
+
+  /** While labels of a slice have not come yet, what is there stays. @param {boolean} waits */
+  set waits(waits) {
+    this.#waits = waits;
+    if (!waits) this.#ask();
+  }
+
   /** Everything is drawn anew with the next frame. */
   redraw() {
     for (const view of [...this.all, this.solid]) view.isStale = true;
@@ -241,7 +263,7 @@ export class Views {
   #draw() {
     const { studio, volume } = this;
     const lattice = studio.lattice.value;
-    if (lattice === null || volume === null || !volume.isComplete) return;
+    if (lattice === null || volume === null || !volume.isComplete || this.#waits) return;
     for (const view of this.all) {
       if (view.isStale) {
         const shown = studio.labelsShown.value;
@@ -279,11 +301,17 @@ export class Views {
       solid.isStale = false;
       return;
     }
-    // While a stroke is drawn the slices come first.
     if (!solid.isStale || this.solids.isBusy || (studio.stroke.value !== null && !solid.isQuick)) return;
     const { share } = solid;
+    volume.updateBlocks();
     solid.isStale = false;
-    this.solids.draw(volume, lattice, solid.camera, solid.look, this.#partOf(solid), share, (ms) => {
+    const shader = this.solids;
+    const when = () => {
+      if (this.volume !== volume || this.solids !== shader || (this.surfaceShown && this.surfaces.isThere)) return "never";
+      // While a stroke is drawn the slices come first.
+      return studio.stroke.value === null || solid.isQuick ? "now" : "later";
+    };
+    shader.draw(volume, lattice, solid.camera, solid.look, () => this.#partOf(solid), share, when, (ms) => {
       solid.fullMs = ms / share ** 2;
       if (solid.isStale) this.#ask();
     });

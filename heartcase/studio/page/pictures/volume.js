@@ -27,6 +27,11 @@ export class Volume {
   colourTexture = null;
   /** Which blocks of voxels hold a solid. @type {WebGLTexture | null} */
   blockTexture = null;
+  /** The same, kept; and which of them have to be looked at anew. @type {Uint8Array<ArrayBuffer> | null} */
+  #blocks = null;
+  /** @type {Uint8Array<ArrayBuffer>} */
+  #isStale = new Uint8Array(0);
+  #hasStale = false;
   /** Two rows: of slices, and of solids. */
   #colours = new Uint8Array(2 * 256 * 4);
   /** 1 for the values of structures that are shown as solids. */
@@ -104,7 +109,7 @@ export class Volume {
     if (bytes.length === this.voxelCount) {
       this.#labels = bytes;
       this.#uploadLabels(bytes);
-      this.#updateBlocks([0, 0, 0], this.size);
+      this.#markBlocks([0, 0, 0], this.size);
       return;
     }
     const labels = this.#labels;
@@ -120,30 +125,47 @@ export class Volume {
     gl.bindTexture(gl.TEXTURE_3D, this.labelTexture);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     gl.texSubImage3D(gl.TEXTURE_3D, 0, ...low, ...size, gl.RED_INTEGER, gl.UNSIGNED_BYTE, bytes);
-    this.#updateBlocks(low, size);
+    this.#markBlocks(low, size);
   }
 
-  /** Look anew which blocks hold a solid, as far as a box of voxels reaches. @param {Vector} low @param {Vector} size */
-  #updateBlocks(low, size) {
-    const gl = this.gl;
-    const count = /** @type {Vector} */ (this.size.map((n) => Math.ceil(n / BLOCK)));
-    if (this.blockTexture === null) {
-      this.blockTexture = this.#texture3d(gl.NEAREST);
-      gl.texImage3D(gl.TEXTURE_3D, 0, gl.R8UI, ...count, 0, gl.RED_INTEGER, gl.UNSIGNED_BYTE, null);
-      [low, size] = [[0, 0, 0], this.size];
-    }
-    const first = /** @type {Vector} */ (low.map((n) => Math.floor(n / BLOCK)));
-    const some = /** @type {Vector} */ (first.map((n, a) => Math.ceil((low[a] + size[a]) / BLOCK) - n));
-    const found = new Uint8Array(some[0] * some[1] * some[2]);
-    let n = 0;
-    for (let k = 0; k < some[2]; k++) {
-      for (let j = 0; j < some[1]; j++) {
-        for (let i = 0; i < some[0]; i++) found[n++] = this.#holdsSolid([first[0] + i, first[1] + j, first[2] + k]);
+  /** Number of blocks along each axis. @returns {Vector} */
+  get #blockCounts() {
+    return /** @type {Vector} */ (this.size.map((n) => Math.ceil(n / BLOCK)));
+  }
+
+  /** Labels in a box of voxels changed: its blocks must be looked at before solids are drawn. @param {Vector} low @param {Vector} size */
+  #markBlocks(low, size) {
+    const [ni, nj, nk] = this.#blockCounts;
+    if (this.#blocks === null) [this.#blocks, this.#isStale] = [new Uint8Array(ni * nj * nk), new Uint8Array(ni * nj * nk)];
+    const first = low.map((n) => Math.floor(n / BLOCK));
+    const end = low.map((n, a) => Math.ceil((n + size[a]) / BLOCK));
+    for (let k = first[2]; k < end[2]; k++) {
+      for (let j = first[1]; j < end[1]; j++) {
+        const row = (k * nj + j) * ni;
+        this.#isStale.fill(1, row + first[0], row + end[0]);
       }
     }
+    this.#hasStale = true;
+  }
+
+  /** Look anew which blocks hold a solid, where that may have changed. */
+  updateBlocks() {
+    if (!this.#hasStale || this.#blocks === null) return;
+    const { gl } = this;
+    const counts = this.#blockCounts;
+    const [ni, nj, nk] = counts;
+    let n = 0;
+    for (let k = 0; k < nk; k++) {
+      for (let j = 0; j < nj; j++) {
+        for (let i = 0; i < ni; i++, n++) if (this.#isStale[n]) this.#blocks[n] = this.#holdsSolid([i, j, k]);
+      }
+    }
+    this.#isStale.fill(0);
+    this.#hasStale = false;
+    this.blockTexture ??= this.#texture3d(gl.NEAREST);
     gl.bindTexture(gl.TEXTURE_3D, this.blockTexture);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    gl.texSubImage3D(gl.TEXTURE_3D, 0, ...first, ...some, gl.RED_INTEGER, gl.UNSIGNED_BYTE, found);
+    gl.texImage3D(gl.TEXTURE_3D, 0, gl.R8UI, ...counts, 0, gl.RED_INTEGER, gl.UNSIGNED_BYTE, this.#blocks);
   }
 
   /** @param {Vector} block @returns {0 | 1} */
@@ -185,7 +207,7 @@ export class Volume {
       this.#colours.set(rgba, 4 * (256 + value));
     }
     this.#uploadColours();
-    if (this.#labels) this.#updateBlocks([0, 0, 0], this.size);
+    if (this.#labels) this.#markBlocks([0, 0, 0], this.size);
   }
 
   /**
@@ -233,7 +255,7 @@ export class Volume {
     this.scanTexture = this.labelTexture = this.colourTexture = this.blockTexture = null;
     if (this.#scan) this.#uploadScan(this.#scan);
     if (this.#labels) this.#uploadLabels(this.#labels);
-    if (this.#labels) this.#updateBlocks([0, 0, 0], this.size);
+    if (this.#labels) this.#markBlocks([0, 0, 0], this.size);
     this.#uploadColours();
   }
 

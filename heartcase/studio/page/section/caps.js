@@ -157,7 +157,7 @@ out vec4 drawn;
 void main() {
   int label = isRest ? 256 : labelAt(restHere);
   if (!isRest && texelFetch(palette, ivec2(label == 0 ? 256 : label, 0), 0).a < 0.5) discard;
-  drawn = vec4(here, 1.0);
+  drawn = vec4(here, 1.0 + float(label));
 }
 `;
 
@@ -184,12 +184,15 @@ export class Caps {
   #frame;
   #buffer = /** @type {any} */ (null);
   #capUniforms;
+  #normals;
 
   /** @param {any} scene @param {Heart} heart @param {CutPlane} plane */
   constructor(scene, heart, plane) {
     this.heart = heart;
     this.plane = plane;
     const { uniforms } = heart;
+    this.#normals = { value: null };
+    const ofShown = { ...uniforms, nodeNormals: this.#normals };
     const empty = new three.Data3DTexture(new Uint8Array(1), 1, 1, 1);
     this.#capUniforms = {
       labels: { value: empty },
@@ -266,7 +269,7 @@ export class Caps {
   }
 
   /**
-   * Draw where the walls are in the plane, LPS mm as red, green and blue, alpha 1, for whoever asks what lies under the pointer: into
+   * Draw where the walls are in the plane, LPS mm as red, green and blue, one more than their label as alpha, for whoever asks what lies under the pointer: into
    * the renderer's target, which has a depth and a stencil buffer, and the heart's own places in it already. `beforeDraw()` was called.
    * @param {any} renderer @param {any} scene @param {any} eye
    */

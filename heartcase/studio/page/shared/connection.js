@@ -13,7 +13,7 @@ import { Signal } from "./signal.js";
 const FIRST_WAIT_MS = 300;
 const LONGEST_WAIT_MS = 8000;
 /** Requests that change nothing. */
-const ASKING = new Set(["suggest", "propose", "find_ends", "planes", "preview", "picture", "confirm"]);
+const ASKING = new Set(["suggest", "propose", "find_ends", "planes", "preview", "picture", "confirm", "look", "rest"]);
 
 /** The server did not carry a request out, and says why. */
 export class Refused extends Error {
@@ -123,6 +123,12 @@ export class Connection {
   /** No more tries: the server said that it cannot go on. */
   end() {
     this.state.value = "ended";
+  }
+
+  /** No more is wanted of the server. */
+  leave() {
+    this.end();
+    this.#socket?.close();
   }
 
   /**

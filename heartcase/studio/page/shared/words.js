@@ -19,7 +19,9 @@ export const language = new Signal(firstLanguage());
 language.listen((chosen) => keep("language", chosen));
 
 function firstLanguage() {
-  const wanted = [kept("language"), ...(globalThis.navigator?.languages ?? [])];
+  // a page that led here says in which language
+  const asked = new URLSearchParams(globalThis.location?.search ?? "").get("lang");
+  const wanted = [asked, kept("language"), ...(globalThis.navigator?.languages ?? [])];
   for (const name of wanted) {
     const short = name?.slice(0, 2).toLowerCase();
     if (short && short in LANGUAGES) return short;

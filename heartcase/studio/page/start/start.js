@@ -15,6 +15,8 @@ import { Series } from "./series.js";
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
+/** What was told last of compiling. @type {Message | null} */
+let compiling = null;
 /** What is said below the chooser: kept, so that another language can say it anew. @type {() => Node[]} */
 let saying = () => [];
 /** @param {() => Node[]} words */
@@ -33,6 +35,7 @@ function problemLines(problems) {
 language.follow((name) => {
   document.documentElement.lang = name;
   fillWords(document);
+  if (compiling !== null) showCompiling(compiling);
   find("start-live").replaceChildren(...saying());
 });
 runTheme();
@@ -71,9 +74,21 @@ const chooser = new Chooser(ask, series);
 const lists = new Lists(ask, () => chooser.folder);
 let isBegun = false;
 
+/** How far this installation is with what it compiles once. @param {Message} message */
+function showCompiling(message) {
+  compiling = message;
+  find("compiling").hidden = message.fraction === null;
+  if (message.fraction === null) return;
+  const bar = /** @type {HTMLProgressElement} */ (find("compiling-bar"));
+  bar.value = message.fraction;
+  const minutes = Math.ceil(message.seconds_left / 60);
+  find("compiling-left").textContent = say(minutes > 1 ? "start_compiling_left" : "start_compiling_soon", { minutes: String(minutes) });
+}
+
 /** @param {Message} message */
 function hear(message) {
   if (message.kind === "samples") lists.showSamples(message.samples);
+  if (message.kind === "compiling") showCompiling(message);
   if (message.kind !== "start") return;
   lists.showRecent(message.recent);
   if (isBegun) return;

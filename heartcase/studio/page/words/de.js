@@ -1,12 +1,15 @@
 /** The page's words in German. */
 
+import { words as offline } from "./offline_de.js";
+import { operating } from "./operating_de.js";
 import { words as scene } from "./scene_de.js";
+import { tour } from "./tour_de.js";
 
 /** @type {Record<keyof typeof import("./en.js").words, string>} */
-import { operating } from "./operating_de.js";
-
 export const words = {
+  ...offline,
   ...operating,
+  ...tour,
   language_name: "Deutsch",
   connecting: "Verbinde …",
   stage_open: "Rezept wird geöffnet …",
@@ -141,6 +144,9 @@ export const words = {
   start_cut: "Dieser Ordner enthält mehr, als gezeigt wird: den Pfad eingeben.",
   start_look: "Serien in diesem Ordner und darunter zeigen",
   start_working: "In Arbeit …",
+  start_compiling: "Erster Start auf diesem Rechner: Er wird vorbereitet. Sie können beginnen; was noch nicht bereit ist, dauert einmal länger.",
+  start_compiling_left: "noch etwa {minutes} Minuten",
+  start_compiling_soon: "noch etwa eine Minute",
   start_closed: "Was diese Adresse zeigte, ist nicht mehr offen: Bitte von hier aus öffnen.",
   start_lost: "Die Verbindung zu heartcase ist unterbrochen; sie wird von selbst wieder versucht. Wurde heartcase beendet: neu starten und die Adresse öffnen, die es ausgibt.",
   start_kind_folder: "Ordner",
@@ -248,7 +254,7 @@ export const words = {
   operate_lost: "Die Verbindung zu heartcase ist abgerissen. Instrumente bleiben stehen und lassen sanft los. Es wird von selbst wieder versucht.",
   operate_stranger: "heartcase wurde neu gestartet, mit neuem Schlüssel. Die Adresse öffnen, die es ausgegeben hat.",
   operate_help_first: "Ein Instrument wählen, auf das Herz drücken und ziehen: Das Gewebe folgt. Neben dem Herzen, oder ohne Instrument, dreht Ziehen es. Mit dem Skalpell eine Linie zeichnen: Beim Loslassen wird an ihr entlang geschnitten.",
-  operate_help_mouse: "Rechte Taste: drehen. Mittlere Taste, oder Umschalt und links: verschieben. Rad: Zoom; solange ein Instrument hält: tiefer oder näher. Zwei Finger: Zoom und verschieben.",
+  operate_help_mouse: "Rechte Taste: drehen. Mittlere Taste, oder Umschalt und links: verschieben. Rad: Zoom; solange ein Instrument hält: tiefer oder näher. Ein Finger oder ein Stift: das Instrument. Zwei Finger: drehen und Zoom, drei: verschieben.",
   operate_help_orbit: "kein Instrument: Ziehen dreht",
   operate_help_tools: "Greifen, Sonde, Skalpell, Schere, Pinzette, Haken, Stich, Naht, Patch",
   operate_help_size: "kleiner, größer (auch , und .)",
@@ -441,21 +447,6 @@ export const words = {
   choice_slit: "Schlitz",
   choice_grown: "gewachsen",
   choice_as_segmented: "wie segmentiert",
-  offline_opening: "Der Fall wird geöffnet …",
-  offline_start: "Wie zu Beginn",
-  offline_plane: "Schnittebene",
-  offline_plane_none: "keine",
-  offline_plane_front: "von vorn",
-  offline_plane_back: "von hinten",
-  offline_plane_left: "von links",
-  offline_plane_right: "von rechts",
-  offline_plane_head: "vom Kopf",
-  offline_plane_feet: "von den Füßen",
-  offline_plane_depth: "Tiefe der Schnittebene",
-  offline_play: "Abspielen oder anhalten",
-  offline_time: "{at} von {end} s",
-  offline_no_webgpu: "Dieser Browser hat kein WebGPU, oder der Fall ist für diese Grafikkarte zu groß: Das Herz lässt sich ansehen, nicht ziehen.",
-  offline_broken: "Diese Datei lässt sich nicht zeigen: Vielleicht ist sie unvollständig. Den Fall noch einmal exportieren.",
   preview: "Oberfläche",
   preview_tip: "Die Oberfläche mit Wänden, Enden und Änderungen, grob; genau nach dem Bauen",
   preview_cut: "Aufgeschnitten",

@@ -1,10 +1,14 @@
 /** The page's words in English. */
 
-import { words as scene } from "./scene_en.js";
+import { words as offline } from "./offline_en.js";
 import { operating } from "./operating_en.js";
+import { words as scene } from "./scene_en.js";
+import { tour } from "./tour_en.js";
 
 export const words = {
+  ...offline,
   ...operating,
+  ...tour,
   language_name: "English",
   connecting: "Connecting …",
   stage_open: "Opening the recipe …",
@@ -139,6 +143,9 @@ export const words = {
   start_cut: "This folder holds more than is shown: type the path.",
   start_look: "Show the series in this folder and below",
   start_working: "Working …",
+  start_compiling: "First start on this machine: it gets ready. You can begin; what is not ready yet takes longer, once.",
+  start_compiling_left: "about {minutes} minutes left",
+  start_compiling_soon: "about a minute left",
   start_closed: "What that address showed is not open any more: open it from here.",
   start_lost: "The connection to heartcase was lost; it is tried again by itself. If heartcase was ended, start it anew and open the address that it prints.",
   start_kind_folder: "folder",
@@ -246,7 +253,7 @@ export const words = {
   operate_lost: "The connection to heartcase was lost. Instruments stay and let go softly. It is tried again by itself.",
   operate_stranger: "heartcase was started anew, with a new key. Open the address that it printed.",
   operate_help_first: "Take an instrument, press on the heart and pull: the tissue follows. Beside the heart, or without an instrument, dragging turns it. Draw a line with the blade: it cuts along it when you let go.",
-  operate_help_mouse: "Right button: turn. Middle button, or Shift and left: move. Wheel: zoom; while an instrument holds, deeper or nearer. Two fingers: zoom and move.",
+  operate_help_mouse: "Right button: turn. Middle button, or Shift and left: move. Wheel: zoom; while an instrument holds, deeper or nearer. One finger, or a pen: the instrument. Two fingers: turn and zoom, three: move.",
   operate_help_orbit: "no instrument: dragging turns",
   operate_help_tools: "grab, probe, blade, scissors, forceps, retractor, stitch, row of stitches, patch",
   operate_help_size: "smaller, larger (also , and .)",
@@ -439,21 +446,6 @@ export const words = {
   choice_slit: "slit",
   choice_grown: "grown",
   choice_as_segmented: "as segmented",
-  offline_opening: "Opening the case …",
-  offline_start: "As at the start",
-  offline_plane: "Cut plane",
-  offline_plane_none: "none",
-  offline_plane_front: "from the front",
-  offline_plane_back: "from the back",
-  offline_plane_left: "from the left",
-  offline_plane_right: "from the right",
-  offline_plane_head: "from the head",
-  offline_plane_feet: "from the feet",
-  offline_plane_depth: "Depth of the cut plane",
-  offline_play: "Play or pause",
-  offline_time: "{at} of {end} s",
-  offline_no_webgpu: "This browser has no WebGPU, or the case is too large for this graphics card: the heart can be looked at, not pulled.",
-  offline_broken: "This file cannot be shown: it may be cut short. Export the case again.",
   preview: "Surface",
   preview_tip: "The surface with walls, ends and edits, coarsely; exact after the build",
   preview_cut: "Cut open",

@@ -3,8 +3,10 @@ declare class Thing {
   constructor(...given: any[]);
   [name: string]: any;
 }
+export class BoxGeometry extends Thing {}
 export class BufferAttribute extends Thing {}
 export class BufferGeometry extends Thing {}
+export class CatmullRomCurve3 extends Thing {}
 export class Data3DTexture extends Thing {}
 export class DataTexture extends Thing {}
 export class Group extends Thing {}
@@ -25,11 +27,13 @@ export class Plane extends Thing {}
 export class PlaneGeometry extends Thing {}
 export class Points extends Thing {}
 export class PointsMaterial extends Thing {}
+export class Quaternion extends Thing {}
 export class RawShaderMaterial extends Thing {}
 export class Scene extends Thing {}
 export class Sphere extends Thing {}
 export class SphereGeometry extends Thing {}
 export class Texture extends Thing {}
+export class TubeGeometry extends Thing {}
 export class Vector3 extends Thing {}
 export class Vector4 extends Thing {}
 export class WebGLRenderTarget extends Thing {}
@@ -50,5 +54,6 @@ export const NearestFilter: any;
 export const NotEqualStencilFunc: any;
 export const RedFormat: any;
 export const RGBAFormat: any;
+export const RGFormat: any;
 export const UnsignedByteType: any;
 export const ZeroStencilOp: any;

@@ -1,0 +1,105 @@
+"""Cases as pages for a browser, with the recordings that they play."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from heartcase.cli.shared.recorded_film import check_frame_count, frame_steps
+from heartcase.schemas.errors import Problem, UsageError
+from heartcase.schemas.recording.reader import Recording, open_recording
+from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.live.live import LiveFrame, moment_of
+from heartcase.simulator.load import Case, load_case
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.replay import load_session, refuse_deviation
+from heartcase.simulator.session.stored import lattice_sha256
+
+if TYPE_CHECKING:
+    from heartcase.studio.offline.site import SiteResult
+    from heartcase.studio.offline.web_page import Recorded
+
+__all__ = ["page_of", "site_of"]
+
+
+def page_of(case: Path, recordings: Sequence[Path], *, level: int, frames_per_second: float) -> bytes:
+    """The file of a case with its recordings.
+
+    Raises
+    ------
+    HeartcaseError
+        The case has no surface, or a recording is not whole, of another case, too long, or does not come to what was
+        recorded.
+    """
+    from heartcase.schemas.bundle.reader import open_bundle
+    from heartcase.studio.offline.shown import shown_of
+    from heartcase.studio.offline.web_page import web_page
+
+    opened = _opened(recordings, frames_per_second)
+    loaded = load_case(case, needs=("surface", "cell_labels", *(("tissue",) if opened else ())), level=level)
+    played = [_recorded(name, one, loaded, frames_per_second) for name, one in opened]
+    return web_page(loaded, shown_of(open_bundle(case), level), played, frames_per_second=frames_per_second)
+
+
+def site_of(
+    cases: Sequence[Path],
+    recordings: Sequence[Path],
+    out: Path,
+    *,
+    level: int | None,
+    frames_per_second: float,
+    say: Callable[[str], None],
+) -> SiteResult:
+    """The site of some cases; each recording is played on the page of the case that it is of.
+
+    Raises
+    ------
+    HeartcaseError
+        As of :func:`page_of` and of :func:`heartcase.studio.offline.site.write_site`; or a recording is of none of the
+        cases.
+    """
+    from heartcase.studio.offline.site import SiteCase, write_site
+
+    opened = _opened(recordings, frames_per_second)
+    if opened:
+        lattices = {lattice_sha256(load_case(case, needs=("grid",)).model) for case in cases}
+        lost = [name for name, one in opened if one.header.lattice_sha256 not in lattices]
+        if lost:
+            words = "is of none of these cases: add its case, or leave it out"
+            raise UsageError([Problem("--recording", f"{name} {words}") for name in lost])
+
+    def of(case: Case) -> list[Recorded]:
+        own = lattice_sha256(case.model) if opened else ""
+        mine = [(name, one) for name, one in opened if one.header.lattice_sha256 == own]
+        return [_recorded(name, one, case, frames_per_second) for name, one in mine]
+
+    chosen = [SiteCase(case, of) for case in cases]
+    return write_site(chosen, out, level=level, frames_per_second=frames_per_second, say=say)
+
+
+def _opened(recordings: Sequence[Path], frames_per_second: float) -> list[tuple[str, Recording]]:
+    found = [(recording.stem, open_recording(recording)) for recording in recordings]
+    for _, one in found:
+        check_frame_count(one, frames_per_second)
+    return found
+
+
+def _recorded(name: str, recording: Recording, case: Case, frames_per_second: float) -> Recorded:
+    from heartcase.studio.offline.web_page import Recorded
+
+    tissue = case.tissue if recording.header.tissue_sha256 else TissueSamples.everywhere()
+    session = load_session(recording, case.model, surface=case.surface, tissue=tissue)
+    return Recorded(name, _moments(session, frames_per_second))
+
+
+def _moments(session: OperatingSession, frames_per_second: float) -> Iterator[LiveFrame]:
+    """Moments of a recording, the first one included; at the end it is checked against what was recorded."""
+    yield moment_of(session)
+    for step in frame_steps(session, frames_per_second):
+        for _ in session.play(step):
+            pass
+        yield moment_of(session)
+    for _ in session.play():
+        pass
+    refuse_deviation(session)

@@ -1,0 +1,1 @@
+"""A guided tour on a case: what its steps show and do there, in numbers."""

@@ -1,0 +1,181 @@
+/** A second session on the case, in a pane of its own: a recording that is played beside another, seen from the same eye. */
+
+import { Picture } from "../operating/picture.js";
+import { arraysOf } from "../operating/messages.js";
+import { Connection, Lost } from "../shared/connection.js";
+import { figure, say } from "../shared/words.js";
+
+/** @typedef {import("../shared/connection.js").Message} Message */
+/** @typedef {import("../shared/connection.js").Package} Package */
+/** @typedef {{value: number, colour: string}} Painted */
+
+/** So far, in simulated s, one may be ahead of the other before it waits. */
+const AHEAD_S = 0.15;
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+export class Beside {
+  /** @type {Picture | null} */
+  picture = null;
+  /** @type {Connection | null} */
+  #connection = null;
+  /** The frame that is shown. @type {Record<string, any> | null} */
+  header = null;
+  #name = "";
+  #isReady = false;
+  /** Which of both stands until the other has caught up. @type {"" | "main" | "beside"} */
+  #waits = "";
+
+  /**
+   * @param {Picture} main
+   * @param {{askMain: (request: Record<string, unknown> & {do: string}) => void, painted: () => [readonly Painted[], Set<number>],
+   *   mainHeader: () => Record<string, any> | null, failed: (error: unknown) => void}} does
+   */
+  constructor(main, does) {
+    this.main = main;
+    this.does = does;
+    main.drawn.push(() => this.#follow());
+    find("beside-close").addEventListener("click", () => this.close());
+  }
+
+  get isOpen() {
+    return this.#connection !== null;
+  }
+
+  /** Play a recording here. @param {string} name @param {string} mainName what is played in the other pane */
+  open(name, mainName) {
+    this.#name = name;
+    this.#waits = "";
+    find("beside").hidden = false;
+    find("theatre").dataset.beside = "true";
+    find("main-title").textContent = mainName.replace(/\.recording$/, "");
+    find("beside-title").textContent = name.replace(/\.recording$/, "");
+    find("main-title").hidden = false;
+    if (this.#connection !== null) {
+      this.#ask({ do: "replay", name });
+      return;
+    }
+    const canvas = document.createElement("canvas");
+    canvas.setAttribute("aria-hidden", "true");
+    find("beside-scene").replaceChildren(canvas);
+    this.picture = new Picture(canvas);
+    const url = new URL(location.pathname.replace("/operate/", "/beside/"), location.href);
+    url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    this.#connection = new Connection(url.href, (message) => this.#hear(message), (message) => this.#receive(message), this.does.failed);
+    find("beside-time").textContent = say("operate_opening");
+    this.#connection.open();
+  }
+
+  close() {
+    this.#connection?.leave();
+    this.#connection = null;
+    this.#isReady = false;
+    this.header = null;
+    this.#waits = "";
+    this.picture?.end();
+    this.picture = null;
+    find("beside-scene").replaceChildren();
+    find("beside").hidden = true;
+    find("main-title").hidden = true;
+    delete find("theatre").dataset.beside;
+  }
+
+  /** What moves the time of the one moves that of the other. @param {Record<string, any> & {do: string}} request */
+  pass(request) {
+    const isOfTime = ["pause", "play", "back"].includes(request.do) || (request.do === "command" && request.command.kind === "go_to");
+    if (!this.isOpen || !isOfTime) return;
+    this.#waits = "";
+    this.#ask(request);
+  }
+
+  /** One of the panes shows a moment: whoever is ahead while both play waits. */
+  keepTogether() {
+    const own = this.header;
+    const main = this.does.mainHeader();
+    if (own === null || main === null || !this.#isReady) return;
+    const ahead = main.time_s - own.time_s;
+    if (this.#waits === "main" && ahead <= 0) this.#go("main");
+    else if (this.#waits === "beside" && ahead >= 0) this.#go("beside");
+    else if (this.#waits === "" && main.mode === "playing" && own.mode === "playing" && Math.abs(ahead) > AHEAD_S) {
+      this.#waits = ahead > 0 ? "main" : "beside";
+      this.#tell(this.#waits, { do: "pause", paused: true });
+    }
+    // who waits for one that has come to its end goes on
+    const other = this.#waits === "main" ? own : this.#waits === "beside" ? main : null;
+    if (other !== null && other.mode === "paused" && other.end_s <= other.time_s) this.#go(this.#waits);
+  }
+
+  repaint() {
+    if (this.picture === null) return;
+    this.picture.heart.paint(...this.does.painted());
+    this.picture.redraw();
+  }
+
+  /** @param {"" | "main" | "beside"} which */
+  #go(which) {
+    this.#waits = "";
+    this.#tell(which, { do: "play" });
+  }
+
+  /** @param {"" | "main" | "beside"} which @param {Record<string, unknown> & {do: string}} request */
+  #tell(which, request) {
+    if (which === "main") this.does.askMain(request);
+    else this.#ask(request);
+  }
+
+  /** @param {Record<string, unknown> & {do: string}} request */
+  #ask(request) {
+    if (!this.#isReady) return;
+    this.#connection?.ask(request).catch((error) => {
+      if (!(error instanceof Lost)) this.does.failed(error);
+    });
+  }
+
+  /** @param {Message} message */
+  #hear(message) {
+    if (message.kind === "opened") {
+      const first = !this.#isReady;
+      this.#isReady = true;
+      const picture = /** @type {Picture} */ (this.picture);
+      picture.heart.forgetNormalMap();
+      picture.heart.paintStretch(message.stretch_colours);
+      this.repaint();
+      if (first) this.#ask({ do: "replay", name: this.#name });
+    } else if (message.kind === "failed") {
+      find("beside-time").textContent = (message.problems ?? []).map((/** @type {any} */ one) => one.message).join("; ");
+    }
+  }
+
+  /** @param {Package} message */
+  #receive(message) {
+    const { picture } = this;
+    const { header } = message;
+    if (picture === null || header.kind === "coarse_topology") return;
+    if (header.kind === "topology") {
+      picture.heart.takeTopology(message);
+      picture.redraw();
+      return;
+    }
+    const arrays = arraysOf(message);
+    if (header.kind === "normal_map") {
+      picture.heart.takeNormalMap(arrays.png).then(() => picture.redraw(), this.does.failed);
+      return;
+    }
+    const isNew = picture.heart.takeFrame(message, arrays);
+    if (picture.tools.show(header, arrays) || isNew) picture.redraw();
+    this.header = header;
+    this.keepTogether();
+    find("beside-time").textContent = say("operate_time_words", { time: figure(header.time_s, 2), end: figure(header.end_s, 2) });
+    requestAnimationFrame(() => this.#connection?.tell({ do: "seen", frame: header.frame }));
+  }
+
+  /** Look from where the other pane looks from. */
+  #follow() {
+    const { picture, main } = this;
+    if (picture === null) return;
+    const { target, distance, size, right, up, towards } = main.camera;
+    Object.assign(picture.camera, { target, distance, size, right, up, towards });
+    picture.redraw();
+  }
+}

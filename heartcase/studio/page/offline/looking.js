@@ -1,0 +1,95 @@
+/** Where one looks from by buttons, and what is said of it: sides of the patient, turning, zooming. */
+
+import * as three from "../vendor/three/three.module.min.js";
+
+/** @typedef {import("../operating/camera.js").Camera} Camera */
+/** @typedef {import("../operating/camera.js").Vector} Vector */
+/** @typedef {[Vector, Vector, Vector]} Axes the picture's right, its top, the way to the eye */
+/** @typedef {"front" | "back" | "left" | "right" | "head" | "feet"} Side */
+
+/** @type {Record<Side, Axes>} */
+export const SIDES = {
+  front: [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+  back: [[-1, 0, 0], [0, 0, 1], [0, 1, 0]],
+  left: [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+  right: [[0, -1, 0], [0, 0, 1], [-1, 0, 0]],
+  head: [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
+  feet: [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+};
+/** Sides that the axes of LPS lead to and come from. @type {readonly (readonly [Side, Side])[]} */
+const WAYS = [["left", "right"], ["back", "front"], ["head", "feet"]];
+/** As in the slices: left, right, posterior, anterior, superior, inferior. @type {Record<Side, string>} */
+const LETTERS = { left: "L", right: "R", back: "P", front: "A", head: "S", feet: "I" };
+const LEAST = 0.35;
+const MOVE_MS = 320;
+const TURNS = 12;
+const ZOOM = 1.2;
+
+/** Sides of the patient that a direction leads to, the strongest first; weak ones are left out. @param {Vector} direction @returns {Side[]} */
+export function sidesOf(direction) {
+  const size = Math.hypot(...direction);
+  return [0, 1, 2]
+    .filter((axis) => Math.abs(direction[axis]) >= LEAST * size)
+    .sort((a, b) => Math.abs(direction[b]) - Math.abs(direction[a]))
+    .map((axis) => WAYS[axis][direction[axis] > 0 ? 0 : 1]);
+}
+
+/** @param {Vector} direction */
+export const lettersOf = (direction) => sidesOf(direction).map((side) => LETTERS[side]).join("");
+
+/** @param {Axes} axes */
+function turnOf([right, up, towards]) {
+  const basis = new three.Matrix4().makeBasis(new three.Vector3(...right), new three.Vector3(...up), new three.Vector3(...towards));
+  return new three.Quaternion().setFromRotationMatrix(basis);
+}
+
+export class Looking {
+  #moving = 0;
+
+  /** @param {Camera} camera @param {{changed: () => void, ended: () => void}} does */
+  constructor(camera, does) {
+    this.camera = camera;
+    this.does = does;
+  }
+
+  /** Turn to a view, at once where movement is not wanted. @param {Axes} axes */
+  moveTo(axes) {
+    cancelAnimationFrame(this.#moving);
+    const { camera } = this;
+    const from = turnOf([camera.right, camera.up, camera.towards]);
+    const to = turnOf(axes);
+    const began = performance.now();
+    const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    const step = () => {
+      const part = isStill ? 1 : Math.min(1, (performance.now() - began) / MOVE_MS);
+      if (part < 1) this.#set(new three.Quaternion().slerpQuaternions(from, to, part * part * (3 - 2 * part)));
+      else [camera.right, camera.up, camera.towards] = axes.map((axis) => /** @type {Vector} */ ([...axis]));
+      this.does.changed();
+      if (part < 1) this.#moving = requestAnimationFrame(step);
+      else this.does.ended();
+    };
+    step();
+  }
+
+  /** @param {any} turn */
+  #set(turn) {
+    const axes = [new three.Vector3(1, 0, 0), new three.Vector3(0, 1, 0), new three.Vector3(0, 0, 1)];
+    const [right, up, towards] = axes.map((axis) => /** @type {Vector} */ (axis.applyQuaternion(turn).toArray()));
+    Object.assign(this.camera, { right, up, towards });
+  }
+
+  /** @param {number} across @param {number} down steps: what is seen goes with them */
+  turn(across, down) {
+    cancelAnimationFrame(this.#moving);
+    const pixels = Math.min(this.camera.width, this.camera.height) / TURNS;
+    this.camera.turn(across * pixels, down * pixels);
+    this.does.changed();
+    this.does.ended();
+  }
+
+  /** @param {number} steps nearer, above 0 */
+  zoom(steps) {
+    this.camera.zoom(ZOOM ** steps);
+    this.does.changed();
+  }
+}

@@ -1,0 +1,26 @@
+/** Words of guided tours, English. A tour's own text is in its own language. */
+
+export const tour = {
+  tour: "Tour",
+  tour_begin: "Begin: {count} steps",
+  tour_back: "Back",
+  tour_next: "Next",
+  tour_again: "Show again",
+  tour_again_says: "Show this step again, also after you tried something yourself",
+  tour_end: "End",
+  tour_at: "{at} of {count}",
+  tour_said: "Step {at} of {count}: {title}",
+  tour_left: "The tour has ended. What was done to the heart stays.",
+  tour_working: "The tour is at work …",
+  tour_shown_only: "This step moves tissue. Here it is only shown: open the case in heartcase studio to see it done.",
+  tour_failed: "This step did not come about:",
+  tour_wrong: "A tour here is not right. The command heartcase validate lists what is wrong in its file.",
+  tour_others: "Other tours",
+  tour_check: "Check",
+  tour_choose: "Choose an answer first.",
+  tour_right: "Right.",
+  tour_part: "Right so far, but not all of it.",
+  tour_not_right: "Not right. Look again.",
+  tour_score: "Right at first: {right} of {answered} answered; {asked} questions in all.",
+  tour_help: "tour: back, next, show again",
+};

@@ -1,0 +1,102 @@
+"""The tours of a case: those beside it or its recipe, and those that come with heartcase."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from heartcase.schemas.errors import HeartcaseError, Problem
+from heartcase.schemas.touring.reading import TOUR_ENDING, load_tour
+from heartcase.schemas.touring.tour import Tour
+from heartcase.simulator.touring.case_places import CasePlaces
+from heartcase.simulator.touring.staging import StagedScene, staged_scenes
+
+__all__ = ["FoundTours", "ShownTour", "find_tours"]
+
+_MOST = 20
+"""Tours of a case that are shown at most."""
+_LOOKED_AT_MAX = 2000
+"""Tours that are looked at in a folder, at most."""
+
+
+@dataclass(frozen=True)
+class ShownTour:
+    """A tour of a case."""
+
+    tour: Tour
+    """What it says."""
+    scenes: tuple[StagedScene, ...]
+    """What each step shows on the case."""
+
+    def as_data(self) -> dict[str, Any]:
+        """What a page is told of it."""
+        said = self.tour.model_dump(mode="json", by_alias=True)
+        return {
+            "title": self.tour.title,
+            "language": self.tour.head.language,
+            "blocks": said["blocks"],
+            "steps": [
+                {
+                    "title": step.title,
+                    "blocks": data["blocks"],
+                    "question": data["question"],
+                    "scene": asdict(scene),
+                    "acts": bool(step.acts),
+                }
+                for step, data, scene in zip(self.tour.steps, said["steps"], self.scenes, strict=True)
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class FoundTours:
+    """The tours of a case."""
+
+    shown: tuple[ShownTour, ...]
+    """Those that can be shown."""
+    problems: tuple[Problem, ...]
+    """What is wrong with others that stand beside the case or its recipe."""
+
+
+def find_tours(places: CasePlaces, folders: Iterable[Path], samples: Path | None) -> FoundTours:
+    """The tours of a case, those beside it first.
+
+    Parameters
+    ----------
+    places
+        Places of the case.
+    folders
+        Where tours of this case may stand: its folder's, its recipe's. Those of other cases are passed over.
+    samples
+        Folder of the sample cases, whose tours are for synthetic hearts of these names; None where there is none.
+    """
+    manifest = places.case.manifest
+    shown: list[ShownTour] = []
+    problems: list[Problem] = []
+    is_synthetic = manifest.about is not None and manifest.about.origin == "synthetic"
+    own = dict.fromkeys(one.resolve() for one in folders)
+    for path, is_own in [
+        *((path, True) for folder in own for path in _tours_in(folder)),
+        *((path, False) for path in (_tours_in(samples) if samples is not None and is_synthetic else ())),
+    ]:
+        if len(shown) == _MOST:
+            break
+        try:
+            tour = load_tour(path)
+            if tour.head.case.lower() == manifest.name.lower():
+                shown.append(ShownTour(tour, staged_scenes(tour, places)))
+        except HeartcaseError as error:
+            # One that cannot be read may be of this case: who wrote it wants to know.
+            if is_own:
+                problems += error.problems
+    return FoundTours(tuple(shown), tuple(problems))
+
+
+def _tours_in(folder: Path) -> Iterator[Path]:
+    try:
+        paths = sorted(one for one in folder.iterdir() if one.name.lower().endswith(TOUR_ENDING) and one.is_file())
+    except OSError:
+        return
+    yield from paths[:_LOOKED_AT_MAX]

@@ -1,0 +1,63 @@
+"""The tours that come with heartcase: each is sound, and fits the recipe beside it."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from heartcase.cli.main import main
+from heartcase.schemas.recipe.recipe import load_recipe
+from heartcase.schemas.touring.names import tour_problems
+from heartcase.schemas.touring.reading import TOUR_ENDING, load_tour
+
+ROOT = Path(__file__).parents[3]
+SAMPLES = ROOT / "sample_cases"
+TOURS = sorted(SAMPLES.glob(f"*{TOUR_ENDING}"))
+DEFECTS = (
+    "vsd_perimembranous", "vsd_muscular_mid", "vsd_muscular_apical", "vsd_multiple", "vsd_subpulmonary",
+    "asd_secundum", "asd_primum", "asd_sinus_venosus", "avsd", "coarctation", "tetralogy", "transposition",
+    "dorv_unrepaired", "hypoplastic_right_ventricle", "normal_adult",
+)  # fmt: skip
+
+
+def test_every_sample_defect_has_a_tour():
+    assert {path.name.removesuffix(TOUR_ENDING) for path in TOURS} >= set(DEFECTS)
+
+
+@pytest.mark.parametrize("path", TOURS, ids=lambda path: path.name.removesuffix(TOUR_ENDING))
+def test_a_sample_tour_fits_its_recipe(path):
+    tour = load_tour(path)
+    recipe = load_recipe(path.with_name(path.name.removesuffix(TOUR_ENDING) + ".toml"))
+    assert tour.head.case == recipe.name
+    assert tour_problems(tour, recipe.landmarks, recipe.labels) == ()
+    assert 5 <= len(tour.steps) <= 10
+    assert tour.steps[0].scene.view is not None
+    asked = [step.question for step in tour.steps if step.question is not None]
+    assert len(asked) >= 2
+    assert all(choice.reason for question in asked for choice in question.choices)
+    # what is opened is closed again
+    kinds = [act.kind for step in tour.steps for act in step.acts]
+    assert kinds.count("open_along") == kinds.count("close_along") >= 1
+
+
+def test_the_wheel_carries_them():
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert build["force-include"] == {"sample_cases": "heartcase/sample_cases"}
+    assert not any("md" in pattern for pattern in build["exclude"])
+
+
+def test_the_command_line_checks_a_tour(tmp_path, capsys):
+    path = tmp_path / "mine.tour.md"
+    path.write_text((SAMPLES / "avsd.tour.md").read_text().replace('"primum defect"', '"primum defct"'))
+    assert main(["validate", str(SAMPLES / "avsd.tour.md")]) == 0
+    assert capsys.readouterr().out == "sound\n"
+    assert main(["validate", str(path)]) == 0
+    assert "give --case" in capsys.readouterr().out
+    assert main(["validate", str(path), "--case", str(SAMPLES / "avsd.toml")]) == 1
+    assert "did you mean 'primum defect'?" in capsys.readouterr().out
+    assert main(["validate", str(path), "--case", str(SAMPLES / "tetralogy.toml")]) == 1
+    assert "the tour is for avsd, and this is tetralogy" in capsys.readouterr().out
+    assert main(["validate", str(path), "--run"]) == 2
+    assert main(["validate", str(SAMPLES / "avsd.toml"), "--run"]) == 2

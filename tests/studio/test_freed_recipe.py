@@ -1,0 +1,31 @@
+"""A recipe that no page has open for some time leaves the memory, and is as it was for who comes."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+
+from heartcase.studio import idle
+from tests.simulator.live.scenes import until
+from tests.studio.talking import page, studio, write_recipe
+
+
+def test_what_was_painted_is_there_again_and_can_be_taken_back(monkeypatch, tmp_path):
+    recipe, middle = write_recipe(tmp_path)
+    with studio(recipe) as browser:
+        workplace = browser.opened.places["socket"]
+        monkeypatch.setattr(idle, "FREE_AFTER_S", 0.3)
+        with page(browser) as one:
+            first = one.labels.copy()
+            assert one.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])["kind"] == "done"
+            labels = one.labels.copy()
+        painting = weakref.ref(workplace._painting)
+        until(lambda: workplace._painting is None)
+        until(lambda: gc.collect() >= 0 and painting() is None)
+        monkeypatch.setattr(idle, "FREE_AFTER_S", 300.0)
+        with page(browser) as one:
+            np.testing.assert_array_equal(one.labels, labels)
+            assert one.ask(do="undo")["kind"] == "done"
+            np.testing.assert_array_equal(one.labels, first)
