@@ -283,3 +283,37 @@ def test_what_is_told_is_small_enough_and_plain(recipe):
         shape = last(talker, "shape")
         assert {one["name"] for one in shape["structures"]} > {"aorta", "aorta wall"}
         assert str(path.parent) not in json.dumps(shape)
+
+
+def test_a_name_a_material_and_what_a_place_is_are_lines_of_the_recipe_and_taken_back(recipe):
+    path, _ = recipe
+    text = path.read_text()
+    place = {
+        "between": ["left ventricle", "right ventricle"],
+        "position_mm": [0.0, 1.0, 2.0],
+        "radius_mm": 4.5,
+        "is_open": True,
+    }
+    with studio(path) as browser, page(browser) as talker:
+        assert talker.ask(do="set", place=["name"], value="a heart 2")["undo_kind"] == "name"
+        assert (read(path).name, last(talker, "shape")["name"]) == ("a heart 2", "a heart 2")
+        for value in ("", "../x", None, 3, "x" * 65):
+            assert talker.ask(do="set", place=["name"], value=value)["kind"] == "refused"
+        assert talker.ask(do="add", list="walls.contact", entries=[place])["undo_kind"] == "walls.contact[1]"
+        assert last(talker, "shape")["lines"]["walls.contact"] == [place]
+        assert "\n[[walls.contact]]\n" in path.read_text()
+        bad = talker.ask(do="add", list="walls.contact", entries=[place | {"between": ["myocardium", "spleen"]}])
+        assert bad["kind"] == "refused"
+        # a material instead of numbers that were stated
+        talker.ask(do="set", place=["materials", "youngs_modulus_kpa"], value=20)
+        talker.ask(do="set", place=["materials", "material"], value="infant myocardium")
+        assert read(path).materials.youngs_modulus_kpa == 15.0
+        assert "youngs_modulus_kpa" not in path.read_text()
+        talker.ask(do="set", place=["materials", "labels", "aorta wall"], value={"material": "conduit"})
+        assert 'material = "conduit"' in path.read_text()
+        assert "youngs_modulus_kpa" not in path.read_text()
+        assert read(path).materials.labels["aorta wall"].youngs_modulus_kpa == 900.0
+        assert talker.ask(do="set", place=["materials", "material"], value="steel")["kind"] == "refused"
+        while talker.ask(do="undo")["kind"] == "done":
+            pass
+        assert path.read_text() == text

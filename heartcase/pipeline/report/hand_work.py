@@ -177,6 +177,8 @@ def _settings(recipe: Recipe, rules: SettingRules | None) -> Iterator[Fact]:
     for name, one in materials.items():
         if name != "all tissue" or one.model_copy(update={"labels": {}}) != default:
             value = f"{one.youngs_modulus_kpa:g} kPa, {one.density_kg_m3:g} kg/m³"
+            if one.material is not None:
+                value = f"{one.material}: {value}"
             meaning = (
                 f"Stiffness and density; usual: {default.youngs_modulus_kpa:g} kPa, {default.density_kg_m3:g} kg/m³."
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -9,6 +10,12 @@ from pydantic import Field, field_validator, model_validator
 from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, Vector3
 from heartcase.schemas.errors import Problem
 from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.recipe.named_materials import (
+    DEFAULT_DENSITY_KG_M3,
+    DEFAULT_MODULUS_KPA,
+    MATERIALS,
+    MaterialName,
+)
 
 __all__ = [
     "LEAST_MAP_SIZE",
@@ -371,10 +378,22 @@ class MapSettings(Model):
 class MaterialSettings(Model):
     """Elastic constants of one label, or of a role."""
 
-    youngs_modulus_kpa: Annotated[float, Field(gt=0.0, le=1e6)] = 30.0
+    material: MaterialName | None = None
+    """A material by name, instead of numbers: it states those that are left out (docs/physics.md)."""
+    youngs_modulus_kpa: Annotated[float, Field(gt=0.0, le=1e6)] = DEFAULT_MODULUS_KPA
     """Young's modulus, kPa."""
-    density_kg_m3: Annotated[float, Field(gt=0.0, le=2e4)] = 1060.0
+    density_kg_m3: Annotated[float, Field(gt=0.0, le=2e4)] = DEFAULT_DENSITY_KG_M3
     """Density, kg/m3."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_material(cls, data: Any) -> Any:
+        name = data.get("material") if isinstance(data, Mapping) else None
+        known = MATERIALS.get(name) if isinstance(name, str) else None
+        if known is None:
+            return data
+        # the numbers are there for all who read them, also after the table has changed
+        return {"youngs_modulus_kpa": known.youngs_modulus_kpa, "density_kg_m3": known.density_kg_m3, **data}
 
 
 class MaterialsSettings(MaterialSettings):

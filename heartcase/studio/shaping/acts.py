@@ -173,6 +173,12 @@ def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
         raise UsageError("must be one value", place=".".join(request.place))
     if first == "walls":
         head = _without_automatic(head)
+    if rest == ["material"]:
+        # numbers that are stated would count instead of the material's
+        stated = tomllib.loads(head).get("materials", {})
+        for key in ("youngs_modulus_kpa", "density_kg_m3"):
+            if key in stated:
+                head = changed_text(head, (("materials", key), None))
     return changed_text(head, (tuple(request.place), request.value)), ".".join(request.place)
 
 
@@ -215,5 +221,7 @@ def _set_material(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str
         settings = MaterialSettings.model_validate(value)
     except ValidationError as error:
         raise UsageError(problems_from_validation(error, place=place)) from None
-    stated = settings.model_dump(mode="json", exclude_unset=True)
+    # a material's own numbers are not written beside its name
+    written = settings.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+    stated = {key: written[key] for key in value if key in written}
     return changed_text(head, (("materials", "labels", name), stated)), place

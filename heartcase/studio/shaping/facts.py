@@ -16,6 +16,7 @@ from heartcase.schemas.recipe.edit_settings import (
     SeptalDefect,
     Smooth,
 )
+from heartcase.schemas.recipe.named_materials import MATERIALS
 from heartcase.schemas.recipe.settings import (
     ContactPlace,
     EndMarker,
@@ -52,7 +53,7 @@ LINES: dict[str, dict[str, type[Model]]] = {
 
 SETTINGS: dict[str, tuple[type[Model], tuple[str, ...]]] = {
     "walls": (WallsSettings, ("find_ends", "septa", "smoothing_mm")),
-    "materials": (MaterialSettings, ("youngs_modulus_kpa", "density_kg_m3")),
+    "materials": (MaterialSettings, ("material", "youngs_modulus_kpa", "density_kg_m3")),
     "grid": (GridSettings, ("node_count", "cell_mm")),
     "surface": (SurfaceSettings, ("triangle_count", "error_mm", "normal_map_size")),
 }
@@ -93,6 +94,7 @@ def shaping_facts() -> dict[str, Any]:
             name: [field for field in _fields(model) if field["name"] in keys]
             for name, (model, keys) in SETTINGS.items()
         },
+        "materials": {name: {"ratio": one.ratio, "basis": one.basis} for name, one in MATERIALS.items()},
         "usual_wall_mm": {
             label.term.name: label.wall_thickness_mm for label in default_label_table() if label.term is not None
         },

@@ -345,6 +345,10 @@ def test_volumes_the_checklist_and_the_next_place(chromium, painted):
             mm = found[0].position_mm
             for value, sides in zip(mm, ("LR", "PA", "HF"), strict=True):
                 assert f"{sides[0] if value >= 0 else sides[1]} {abs(value):.1f}" in position
+            # it is right: on to the next, and this one does not come again
+            page.tab.keyboard.press("r")
+            until(lambda: next(path.parent.rglob("*.right.json"), None) is not None)
+            page.tab.locator("#place strong, #place:text-matches('unsure')").first.wait_for(timeout=60_000)
 
 
 def test_two_pages_follow_one_another(chromium, painted):

@@ -63,6 +63,7 @@ def test_an_end_a_defect_and_a_wall_by_mouse_stand_in_the_recipe_and_are_taken_b
         assert end.label == "aorta"
         np.testing.assert_allclose(end.position_mm, middle, atol=0.25)
         assert abs(end.radius_mm - 5.0) < 0.3
+        assert f"disc {2.0 * end.radius_mm:.1f}" in page.text("[data-end='1']")
         np.testing.assert_allclose(np.abs(end.axis), [1.0, 0.0, 0.0], atol=0.06)
         written = END.format(position=listed(end.position_mm), axis=listed(end.axis), radius=end.radius_mm)
         assert path.read_text() == painted_text.replace(head, head + written)
@@ -149,6 +150,12 @@ def test_an_end_a_defect_and_a_wall_by_mouse_stand_in_the_recipe_and_are_taken_b
             page.tab.keyboard.press("Control+y")
             page.saved(count)
         assert path.read_bytes() == whole
+        # the case gets another name by a click on it
+        page.tab.locator("#case-name").click()
+        page.tab.locator("#case-rename").fill("a child 2")
+        page.tab.keyboard.press("Enter")
+        page.saved(11)
+        assert (read(path).name, page.text("#case-name")) == ("a child 2", "a child 2")
 
 
 def test_by_keys_alone_and_what_another_page_sees(chromium, painted):

@@ -146,10 +146,12 @@ def test_a_chosen_series_and_phase_become_a_recipe_that_opens(tmp_path):
             "series": found[1]["series"],
         }
         assert page.ask(**begin)["kind"] == "refused"
-        answer = page.ask(**begin, trigger_time_ms=400.0)
+        assert page.ask(**begin, trigger_time_ms=400.0, name="../x")["kind"] == "refused"
+        answer = page.ask(**begin, trigger_time_ms=400.0, name="a child 1")
         assert answer["kind"] == "go"
         assert browser.get(answer["address"]).status_code == 200
         recipe = parse_recipe(read_recipe_text(tmp_path / "heart.toml"), needs_markers=False)
+        assert recipe.name == "a child 1"
         assert recipe.scan.choice["trigger_time_ms"] == 400.0
         read = read_scan(tmp_path / recipe.scan.path, **recipe.scan.choice)
         assert read.geometry.size == (16, 20, 12)

@@ -3,7 +3,7 @@
 import { language, say } from "../shared/words.js";
 
 /** What a name may be made of, as the recipe's schema says. */
-export const NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9 _.()+\\-]*";
+export const NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9 _.\\(\\)+\\-]*";
 
 /**
  * @param {import("../shared/studio.js").Studio} studio

@@ -298,7 +298,7 @@ export class ShapePanel {
     if (shape.value === null || facts.value === null) return [];
     const { materials, structures } = shape.value;
     const fields = facts.value.settings.materials;
-    const parts = [element("h4", "", say("shape_all_tissue")), ...this.#settings("materials")];
+    const parts = [element("h4", "", say("shape_all_tissue")), ...this.#settings("materials"), ...this.#basis(shape.value.settings.materials.material)];
     for (const [name, entry] of Object.entries(materials)) {
       const head = element("div", "line");
       const remove = element("button", "remove");
@@ -308,7 +308,11 @@ export class ShapePanel {
       onOneClick(remove, () => void this.shaping.set(["materials", "labels", name], null));
       head.append(element("h4", "", name), remove);
       const whole = { ...Object.fromEntries(fields.map((one) => [one.name, one.default])), ...entry };
-      parts.push(head, ...formRows(fields, whole, [], (key, value) => void this.shaping.set(["materials", "labels", name], changed(whole, key, value))));
+      parts.push(head, ...formRows(fields, whole, [], (key, value) => {
+        // a material states its numbers itself
+        const next = key === "material" && value !== null ? { material: value } : changed(entry, key, value);
+        void this.shaping.set(["materials", "labels", name], Object.keys(next).length > 0 ? next : whole);
+      }), ...this.#basis(entry.material));
     }
     const select = element("select", "add-material");
     select.setAttribute("aria-label", say("shape_add_material"));
@@ -320,6 +324,12 @@ export class ShapePanel {
       if (select.selectedIndex > 0) void this.shaping.set(["materials", "labels", select.value], start);
     });
     return [...parts, select];
+  }
+
+  /** What a named material rests on: no number of it is measured. @param {string | undefined} name */
+  #basis(name) {
+    const known = name === undefined ? undefined : this.shaping.facts.value?.materials[name];
+    return known ? [element("p", "note", say("material_basis", { ratio: figure(known.ratio, 1) }))] : [];
   }
 
   /** @param {string} table @returns {HTMLElement[]} */

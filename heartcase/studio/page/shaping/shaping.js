@@ -9,7 +9,7 @@ import { rounded } from "./discs.js";
 /** @typedef {Record<string, any>} Entry a line of the recipe, as it stands there */
 /** @typedef {{name: string, type: string, needed: boolean, unit?: string, minimum?: number, exclusiveMinimum?: number, maximum?: number,
  *   maxLength?: number, choices?: string[], default?: any, meaning: string}} Field */
-/** @typedef {{lines: Record<List, Record<string, Field[]>>, settings: Record<string, Field[]>, usual_wall_mm: Record<string, number>}} Facts */
+/** @typedef {{lines: Record<List, Record<string, Field[]>>, settings: Record<string, Field[]>, usual_wall_mm: Record<string, number>, materials: Record<string, {ratio: number, basis: string}>}} Facts */
 /** @typedef {{label: string, term: string | null, wall_thickness_mm: number, has_table: boolean}} Wall */
 /** @typedef {{name: string, role: string, colour: string, is_grown: boolean}} Structure */
 /** @typedef {{name: string, lines: Record<List, Entry[]>, settings: Record<string, Entry>, walls: Wall[], materials: Record<string, Entry>,
