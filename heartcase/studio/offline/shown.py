@@ -24,7 +24,7 @@ from heartcase.studio.offline.colours import (
 from heartcase.studio.offline.oxygenation import Oxygen, Oxygenation, oxygenation
 from heartcase.studio.offline.pictures import lesion_view
 from heartcase.studio.offline.surfaces import RIM, surface_of
-from heartcase.studio.operating.heart_axes import heart_axes
+from heartcase.studio.operating.scene.heart_axes import heart_axes
 
 __all__ = ["FIRST_VESSEL", "Shown", "landmark_lines", "shown_of"]
 
@@ -49,8 +49,8 @@ class Shown:
     inside: list[dict[str, Any]]
     """As of ``structures``: tissue that no triangle shows, and a cut alone does."""
     axes: dict[str, Any]
-    """The heart's own planes, as of :func:`heartcase.studio.operating.heart_axes.heart_axes`; ``lesion`` goes through
-    what the case is about, where landmarks tell."""
+    """The heart's own planes, as of :func:`heartcase.studio.operating.scene.heart_axes.heart_axes`; ``lesion`` goes
+    through what the case is about, where landmarks tell."""
     oxygen: dict[str, Any]
     """How oxygenation was worked out, and its colours."""
 

@@ -1,8 +1,8 @@
 """A case as one HTML file, which any browser opens from a folder or a website: looked at, pulled, recordings played.
 
-The file holds what the studio's server would send (:mod:`heartcase.studio.operating.packing`), compressed, and the
-page's modules as one script. Where the browser has WebGPU, the page steps the springs by itself. In a site of several
-cases (:mod:`heartcase.studio.offline.site`) the same page takes its script and its case from files beside it.
+The file holds what the studio's server would send (:mod:`heartcase.studio.operating.scene.packing`), compressed, and
+the page's modules as one script. Where the browser has WebGPU, the page steps the springs by itself. In a site of
+several cases (:mod:`heartcase.studio.offline.site`) the same page takes its script and its case from files beside it.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from heartcase.studio.offline.bundling import bundled_script
 from heartcase.studio.offline.shown import Shown
 from heartcase.studio.offline.spring_arrays import spring_arrays
 from heartcase.studio.offline.toured import Toured
-from heartcase.studio.operating.cell_labels import CellLabels
-from heartcase.studio.operating.packing import SCALE_LEAST, Rounded, frame_message, packed, topology_message
+from heartcase.studio.operating.scene.cell_labels import CellLabels
+from heartcase.studio.operating.scene.packing import SCALE_LEAST, Rounded, frame_message, packed, topology_message
 from heartcase.studio.operating.viewer import described, patch_arrays
 
 __all__ = [

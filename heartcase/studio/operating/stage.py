@@ -25,15 +25,15 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
-from heartcase.studio.operating.cell_labels import CellLabels
-from heartcase.studio.operating.coarser import CoarseLevel, CoarserWorker, load_coarser
 from heartcase.studio.operating.devices import device_of, known_devices
-from heartcase.studio.operating.heart_axes import heart_axes
 from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
-from heartcase.studio.operating.normal_map import NormalMap, load_normal_map
-from heartcase.studio.operating.packing import packed, stretch_bytes
-from heartcase.studio.operating.surroundings import cannulae
+from heartcase.studio.operating.scene.cell_labels import CellLabels
+from heartcase.studio.operating.scene.coarser import CoarseLevel, CoarserWorker, load_coarser
+from heartcase.studio.operating.scene.heart_axes import heart_axes
+from heartcase.studio.operating.scene.normal_map import NormalMap, load_normal_map
+from heartcase.studio.operating.scene.packing import packed, stretch_bytes
+from heartcase.studio.operating.scene.surroundings import cannulae
 
 __all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
 
@@ -64,7 +64,7 @@ class Stage:
     sha256
         Hash of the case's manifest, which lists the hash of each file; None where it is not known.
     axes
-        The heart's own planes, as :func:`heartcase.studio.operating.heart_axes.heart_axes` finds them.
+        The heart's own planes, as :func:`heartcase.studio.operating.scene.heart_axes.heart_axes` finds them.
     """
 
     def __init__(

@@ -11,45 +11,30 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from heartcase.schemas.arrays import Float64
-from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
+from heartcase.schemas.errors import HeartcaseError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.idle import FREE_AFTER_S, Idle
 from heartcase.studio.messages import problems_of, text_message, told
-from heartcase.studio.operating.packing import packed
+from heartcase.studio.operating.acts import OwnAct, act
 from heartcase.studio.operating.plans import ComparedPlans
 from heartcase.studio.operating.requests import (
-    Act,
-    Along,
     Begin,
     Coarser,
     Compare,
-    CutOpen,
     Device,
     Figures,
-    Hide,
-    HoldOpen,
-    LetGo,
     Look,
-    Planned,
-    Play,
-    Point,
-    Recordings,
-    Rename,
     Replay,
-    Request,
-    Resize,
-    Run,
     Seen,
     Slice,
     Strain,
-    Take,
     Tours,
     TourTo,
-    Wheel,
     parse_request,
 )
-from heartcase.studio.operating.scan_slices import ScanSlices, has_scan, open_scan
+from heartcase.studio.operating.scene.scan_slices import has_scan
+from heartcase.studio.operating.slices import SliceServing
 from heartcase.studio.operating.stage import Stage, open_stage
 from heartcase.studio.operating.tour_leading import TourLeading
 from heartcase.studio.operating.viewer import Viewer
@@ -58,6 +43,8 @@ from heartcase.studio.pages import Page
 __all__ = ["Origin", "Theatre"]
 
 T = TypeVar("T")
+_InTurn = OwnAct | Tours | TourTo | Replay | Begin | Strain | Coarser | Figures | Compare | Device
+"""Requests that are carried out one after the other."""
 
 _SOFTLY_S = 20.0
 """How long a session goes on at most when nobody looks any more, so that instruments let go, s."""
@@ -101,9 +88,7 @@ class Theatre:
         self._out = out
         self.origin = origin
         self._tours = TourLeading(self._tour_folders, self._problems, self._begin)
-        self._scan: tuple[Stage, Path | None, ScanSlices] | None = None
-        self._slicing = ThreadPoolExecutor(1, thread_name_prefix="theatre-slices")
-        self._slices: set[asyncio.Task[None]] = set()
+        self._slices = SliceServing(case, self._problems)
         self._stage: Stage | None = None
         self._viewers: dict[Page, Viewer] = {}
         self._waiting: set[Page] = set()
@@ -224,10 +209,8 @@ class Theatre:
                 self._news.set()
                 return
             if isinstance(request, Slice):
-                # the scan may have to be read first: what is done meanwhile does not wait for it
-                task = asyncio.create_task(self._send_slice(page, request, stage))
-                self._slices.add(task)
-                task.add_done_callback(self._slices.discard)
+                recipe = None if self.origin is None else self.origin.recipe
+                self._slices.ask(page, request, stage, recipe)
                 return
             async with self._turn:
                 # What it looked at when it asked may be closed by now.
@@ -247,35 +230,6 @@ class Theatre:
         }
         page.send(text_message("done", id=request.id, **own, **answer))
 
-    async def _send_slice(self, page: Page, request: Slice, stage: Stage) -> None:
-        """Show a page a slice of the scan."""
-        recipe = None if self.origin is None else self.origin.recipe
-        try:
-            found = await asyncio.get_running_loop().run_in_executor(
-                self._slicing, lambda: self._slice(request, stage, recipe)
-            )
-        except Exception as error:
-            page.send(text_message("refused", id=request.id, problems=self._problems(error)))
-            return
-        page.send(found)
-        page.send(text_message("done", id=request.id, tool="", size=None, line_mm=[]))
-
-    def _slice(self, request: Slice, stage: Stage, recipe: Path | None) -> bytes:
-        if self._scan is None or self._scan[:2] != (stage, recipe):
-            self._scan = None
-            self._scan = stage, recipe, open_scan(self._case, recipe)
-        shown = self._scan[2].through(request.point_mm, request.right, request.down)
-        header = {
-            "kind": "slice",
-            "name": request.name,
-            "origin_mm": shown.origin_mm.tolist(),
-            "right": request.right,
-            "down": request.down,
-            "width_mm": shown.width_mm,
-            "height_mm": shown.height_mm,
-        }
-        return packed(header, {"greys": shown.greys})
-
     async def close(self) -> None:
         """End the session: what was begun is made, and what is recorded is finished."""
         self._waiting.clear()
@@ -293,7 +247,7 @@ class Theatre:
                 await self._run(stage.close)
         await self._run(self._plans.close)
         self._thread.shutdown()
-        self._slicing.shutdown(wait=False, cancel_futures=True)
+        self._slices.close()
 
     def _open(self) -> Callable[[], Stage]:
         loop = self._loop = asyncio.get_running_loop()
@@ -305,45 +259,10 @@ class Theatre:
 
         return lambda: open_stage(self._case, out=self._out, heard=heard)
 
-    async def _do(self, request: Request, viewer: Viewer, stage: Stage, page: Page) -> dict[str, Any]:
+    async def _do(self, request: _InTurn, viewer: Viewer, stage: Stage, page: Page) -> dict[str, Any]:
         """Carry a request out; what else its answer says."""
-        hands, live = viewer.hands, stage.live
+        live = stage.live
         match request:
-            case Point():
-                return {"used": await self._run(lambda: _point(request, viewer))}
-            case Act():
-                live.do(request.command)
-            case Take():
-                if request.tool and request.tool not in hands.tools:
-                    raise UsageError(f"there is no tool {request.tool!r}", place="tool")
-                hands.take(request.tool)
-            case Resize():
-                hands.resize(request.steps)
-            case Wheel():
-                return {"used": hands.wheel(request.notches)}
-            case LetGo():
-                look = request.pointer
-                pointer = None if look is None else await self._run(lambda: viewer.pointer(look))
-                return {"used": hands.let_go(pointer)}
-            case Along():
-                {"undo": hands.undo, "redo": hands.redo, "back": hands.rewind, "tie": hands.tie}.get(
-                    request.do, hands.put_down
-                )()
-            case Run():
-                live.pause(request.paused)
-            case Play():
-                if request.do == "play":
-                    hands.play()
-                elif request.do == "spare":
-                    stage.spare_a_processor()
-                elif request.do == "record":
-                    if live.newest.recording is not None:
-                        raise RecordingError("it is recorded already", place="record")
-                    await self._run(stage.record)
-                else:
-                    live.stop_recording()
-            case Recordings():
-                return {"recordings": await self._run(stage.recordings)}
             case Tours():
                 return await self._run(lambda: self._tours.listed(stage))
             case TourTo():
@@ -357,10 +276,6 @@ class Theatre:
                 live = newest.live
                 await self._run(lambda: newest.begin() if name is None else newest.replay(name))
                 self._show_begun(live)
-            case Hide():
-                viewer.hidden = frozenset(request.structures)
-            case CutOpen():
-                viewer.cut_open(request.plane)
             case Strain():
                 viewer.wants_strain = request.shown
                 await self._update_strain()
@@ -377,10 +292,6 @@ class Theatre:
                     live.pause(True)
                     stage.figures.ask_for_reach()
                 self._news.set()
-            case Planned():
-                await self._run(lambda: stage.cut_planned(request.incision))
-            case HoldOpen():
-                await self._run(lambda: stage.hold_open(request.incision))
             case Compare():
                 names = await self._run(lambda: [stage.known(name) for name in request.names])
                 # it takes seconds for each of them: the processors are for that
@@ -393,9 +304,8 @@ class Theatre:
                     name, place = request.name, await self._run(lambda: _met(viewer, request.pointer))
                     await self._run(lambda: stage.attach(name, place))
                 self._device_page = page if request.name is not None else None
-            case Rename():
-                await self._run(lambda: stage.rename(request.name, request.to))
-                return {"recordings": await self._run(stage.recordings)}
+            case _:
+                return await act(request, viewer, stage, self._run)
         return {}
 
     async def _begin(self, stage: Stage) -> None:
@@ -564,12 +474,3 @@ def _met(viewer: Viewer, look: Look | None) -> Float64:
     if place is None:
         raise UsageError("the heart is not in the middle of the picture: turn it there first", place="device")
     return place
-
-
-def _point(request: Point, viewer: Viewer) -> bool:
-    """Use the tool in hand there; whether there was a use for it."""
-    hands = viewer.hands
-    if request.do != "press" and not hands.is_used:
-        return False
-    pointer = viewer.pointer(request.pointer)
-    return {"press": hands.press, "drag": hands.drag, "release": hands.release}[request.do](pointer)

@@ -15,9 +15,9 @@ from heartcase.simulator.live.hands import Hands
 from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.live.rays import CutPlane, Hit, Pointer, Ray, first_hit, first_hit_beside
 from heartcase.simulator.surface.deform import SurfaceModel, deform
-from heartcase.studio.operating.cell_labels import nearest_cell
-from heartcase.studio.operating.packing import Rounded, coarse_message, frame_message, topology_message
 from heartcase.studio.operating.requests import Look, Plane
+from heartcase.studio.operating.scene.cell_labels import nearest_cell
+from heartcase.studio.operating.scene.packing import Rounded, coarse_message, frame_message, topology_message
 from heartcase.studio.operating.stage import Stage
 
 __all__ = ["IN_FLIGHT_MAX", "Viewer", "described", "patch_arrays"]

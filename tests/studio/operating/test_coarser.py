@@ -6,7 +6,7 @@ import pytest
 from heartcase.schemas.recording.commands import Cut
 from heartcase.simulator.live.shapes import CUT_FACES
 from heartcase.simulator.surface.deform import deform
-from heartcase.studio.operating.coarser import CoarserWorker, load_coarser
+from heartcase.studio.operating.scene.coarser import CoarserWorker, load_coarser
 from tests.simulator.live.scenes import live_on, load, until
 from tests.studio.operating.boxes import write_block_with_a_box
 from tests.studio.operating.performing import operator, theatre, unpacked

@@ -15,8 +15,8 @@ from heartcase.simulator.live.live import Live
 from heartcase.simulator.load import load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
-from heartcase.studio.operating.normal_map import load_normal_map
-from heartcase.studio.operating.packing import topology_message
+from heartcase.studio.operating.scene.normal_map import load_normal_map
+from heartcase.studio.operating.scene.packing import topology_message
 from tests.studio.operating.charts import write_charted
 from tests.studio.operating.performing import unpacked
 

@@ -13,7 +13,7 @@ from heartcase.pipeline.bundle.write_bundle import BundleSource, write_bundle
 from heartcase.pipeline.stages.read import region_of_scan
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import parse_recipe
-from heartcase.studio.operating.scan_slices import ScanSlices
+from heartcase.studio.operating.scene.scan_slices import ScanSlices
 from heartcase.studio.starting.registry import Registry
 from tests.studio.operating.performing import operator, theatre
 from tests.studio.operating.two_walls import two_walls

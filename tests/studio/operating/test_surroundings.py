@@ -10,8 +10,8 @@ import pytest
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.load import load_case
-from heartcase.studio.operating.heart_axes import heart_axes
-from heartcase.studio.operating.surroundings import cannulae
+from heartcase.studio.operating.scene.heart_axes import heart_axes
+from heartcase.studio.operating.scene.surroundings import cannulae
 from tests.factories import TABLE
 from tests.studio.operating.two_walls import INNER, two_walls
 

@@ -11,7 +11,7 @@ import pytest
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.bundle.manifest import MANIFEST_NAME
 from heartcase.schemas.recording.reader import open_recording
-from heartcase.studio.operating.packing import BLOCK_NODES, SCALE_LEAST, Rounded, frame_message, moved_blocks
+from heartcase.studio.operating.scene.packing import BLOCK_NODES, SCALE_LEAST, Rounded, frame_message, moved_blocks
 from tests.factories import block_case
 from tests.simulator.live.scenes import until, write_case
 from tests.studio.operating.performing import operator, theatre, unpacked

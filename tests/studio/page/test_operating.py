@@ -14,7 +14,7 @@ from heartcase.simulator.load import load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import deform
-from heartcase.studio.operating.packing import Rounded, frame_message, topology_message
+from heartcase.studio.operating.scene.packing import Rounded, frame_message, topology_message
 from tests.factories import block_case
 from tests.simulator.live.scenes import write_case
 from tests.studio.axe.accessible import assert_accessible

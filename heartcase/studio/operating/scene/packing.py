@@ -18,8 +18,8 @@ from heartcase.schemas.arrays import Float32, Float64, Int16, Int32, UInt8
 from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES
 from heartcase.simulator.surface.deform import SurfaceModel
-from heartcase.studio.operating.coarser import CoarseLevel
-from heartcase.studio.operating.normal_map import NormalMap
+from heartcase.studio.operating.scene.coarser import CoarseLevel
+from heartcase.studio.operating.scene.normal_map import NormalMap
 
 __all__ = [
     "BLOCK_NODES",
