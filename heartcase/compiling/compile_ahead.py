@@ -162,6 +162,7 @@ class _ProcessTeam:
         self.processes: list[subprocess.Popen[str]] = []
         self.process_count = min(processes, self.total)
         self.failed_count = 0
+        self.leading_count = self.process_count
         self.threads: list[threading.Thread] = []
 
     def begin(self) -> None:
@@ -183,6 +184,18 @@ class _ProcessTeam:
             thread.join()
 
     def _lead(self) -> None:
+        self._lead_one()
+        with self.lock:
+            self.leading_count -= 1
+            if self.leading_count == 0 and not self.is_ended:
+                # what a process had in hand that died, or that none could be started for, nobody compiles any more
+                failed_count = self.total - len(self.done)
+                if failed_count != self.failed_count:
+                    self.failed_count = failed_count
+                    self.told(self._progress())
+
+    def _lead_one(self) -> None:
+        """Start a process, and hand it one kernel after the other."""
         with self.lock:
             if self.is_ended:
                 return

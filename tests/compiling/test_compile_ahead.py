@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -290,6 +291,30 @@ def test_what_a_killed_process_was_writing_goes_and_what_others_write_stays(tmp_
     left = [path for path in cache.rglob("*") if path.is_file() and path.suffix != ".lock"]
     assert left == [other]
     assert not list(cache.glob("heartcase-unfinished-*"))
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_what_a_process_that_died_had_in_hand_counts_as_failed(tmp_path, monkeypatch, starts):
+    """So that who waits for all does not wait for ever."""
+
+    def start(unfinished, *, is_behind):
+        if not starts:
+            raise OSError("no room for a process")
+        command = [sys.executable, "-c", "raise SystemExit(9)"]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    monkeypatch.setattr(compile_ahead, "_start", start)
+    monkeypatch.setattr(compile_ahead, "_note", lambda: tmp_path / "note")
+    told, is_over = [], threading.Event()
+
+    def hear(progress):
+        told.append(progress)
+        if progress.done + progress.failed == progress.total:
+            is_over.set()
+
+    with compiled_ahead([Called("a", "b", (), 1.0)] * 3, processes=2, told=hear):
+        assert is_over.wait(30.0)
+    assert (told[-1].done, told[-1].failed, told[-1].total) == (0, 3, 3)
 
 
 def _lives(process):

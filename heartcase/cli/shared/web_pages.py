@@ -19,7 +19,7 @@ from heartcase.simulator.session.stored import lattice_sha256
 if TYPE_CHECKING:
     from heartcase.studio.offline.site import SiteResult
     from heartcase.studio.offline.web_page import Recorded
-    from heartcase.studio.touring.found_tours import ShownTour
+    from heartcase.studio.touring.found_tours import FoundTours
 
 __all__ = ["page_of", "site_of"]
 
@@ -27,7 +27,9 @@ __all__ = ["page_of", "site_of"]
 def page_of(
     case: Path, recordings: Sequence[Path], *, level: int, frames_per_second: float, tours: bool = True
 ) -> tuple[bytes, list[str]]:
-    """The file of a case with its recordings and its guided tours; why a tour could not be done to its end.
+    """The file of a case with its recordings and its guided tours; what is wrong with tours, of each that is so.
+
+    One that cannot be read is left out, and one that could not be done to its end ends before.
 
     Raises
     ------
@@ -39,14 +41,16 @@ def page_of(
     from heartcase.studio.offline.shown import shown_of
     from heartcase.studio.offline.toured import Toured
     from heartcase.studio.offline.web_page import web_page
+    from heartcase.studio.touring.found_tours import FoundTours
 
     opened = _opened(recordings, frames_per_second)
     loaded = load_case(case, needs=("surface", "structures", "cell_labels", "tissue"), level=level)
     played = [_recorded(name, one, loaded, frames_per_second) for name, one in opened]
-    toured = [Toured(one, loaded) for one in _tours(loaded, case)] if tours else []
+    found = _tours(loaded, case) if tours else FoundTours((), ())
+    toured = [Toured(one, loaded) for one in found.shown]
     shown = shown_of(open_bundle(case), level)
     made = web_page(loaded, shown, played, tours=toured, frames_per_second=frames_per_second)
-    return made, [str(problem) for one in toured for problem in one.problems]
+    return made, [str(problem) for problem in (*found.problems, *(each for one in toured for each in one.problems))]
 
 
 def site_of(
@@ -85,13 +89,13 @@ def site_of(
     return write_site(chosen, out, level=level, frames_per_second=frames_per_second, say=say)
 
 
-def _tours(loaded: Case, path: Path) -> tuple[ShownTour, ...]:
+def _tours(loaded: Case, path: Path) -> FoundTours:
     """The case's tours: those beside it, and those that come with heartcase."""
     from heartcase.simulator.touring.case_places import CasePlaces
     from heartcase.studio.sample_folder import sample_folder
     from heartcase.studio.touring.found_tours import find_tours
 
-    return find_tours(CasePlaces(loaded), [path.parent], sample_folder()).shown
+    return find_tours(CasePlaces(loaded), [path.parent], sample_folder())
 
 
 def _opened(recordings: Sequence[Path], frames_per_second: float) -> list[tuple[str, Recording]]:

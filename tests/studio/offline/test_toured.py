@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from heartcase.cli.shared.web_pages import page_of
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.touring.reading import parse_tour
 from heartcase.simulator.load import load_case
@@ -59,3 +60,11 @@ def test_a_tour_that_only_shows_takes_no_steps(case):
     made = toured(case, TOUR.partition("## Through it")[0])
     assert list(made.moments()) == []
     assert made.as_data()["ends"] == []
+
+
+def test_a_tour_beside_the_case_that_cannot_be_read_is_left_out_and_told(tmp_path):
+    path = tmp_path / "hollow.case"
+    write_bundle(path, hollow_case())
+    (tmp_path / "wrong.tour.md").write_text(TOUR.replace("heartcase_tour = 1", "heartcase_tour = 1\ncolour = 3"))
+    _, told = page_of(path, [], level=0, frames_per_second=10.0)
+    assert any("colour" in one for one in told), told
