@@ -173,7 +173,7 @@ def test_explicit_springs_agree(model, seed):
     check_explicit_springs(model, seed, [make_engine(model, name) for name in BACKENDS])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(random_models(), SEEDS)
 def test_probes_push_alike(model, seed):
     model = unguarded(model)

@@ -53,8 +53,10 @@ CANDIDATES: list[Any] = [
         "texts": {"en": {"title": "x", "what": "x", "look_for": "x"}},
     },
     *("hvsmr-2.0", "none", "threshold", "xatlas", "exact", "ignore", "slit", "earlier", "as segmented"),
+    "infant myocardium",
     (1, 2),
     [["cavity", "myocardium"]],
+    [{"between": ["cavity", "myocardium"], "position_mm": _POINT, "radius_mm": 2.0, "is_open": False}],
     [{"between": ["cavity", "myocardium"], "thickness_mm": 1.0}],
     [{"label": "cavity", "kind": "positions", "points_mm": [_POINT], "thickness_mm": [1.0]}],
 ]

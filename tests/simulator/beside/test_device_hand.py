@@ -36,6 +36,7 @@ def is_held_by_the_spring(shown):
     return pull_n == pytest.approx(0.4 * stretch_mm * shown.part, abs=0.2) and pull_n < -0.1
 
 
+@pytest.mark.slow  # a loop at its own pace: on a busy machine it is done before the tissue follows
 def test_it_pulls_feels_lets_go_and_stands_in_the_history(case, tmp_path):
     live = live_on(case)
     live.record(tmp_path / "felt.recording")
@@ -75,6 +76,7 @@ def test_it_pulls_feels_lets_go_and_stands_in_the_history(case, tmp_path):
     assert again.step_count <= step
 
 
+@pytest.mark.slow  # a loop at its own pace: on a busy machine it is done before the tissue follows
 def test_a_loop_that_was_lost_is_told_and_its_hand_lets_go_softly(case):
     live = live_on(case)
     live.start()

@@ -222,8 +222,9 @@ def test_fingers_turn_and_zoom(chromium, site):
         touch("touchEnd")
         zoomed = tab.evaluate(CAMERA)
         assert zoomed["distance"] == pytest.approx(turned["distance"] / 2, rel=0.02)
-        assert zoomed["target"] == turned["target"]
-        assert np.linalg.norm(np.subtract(zoomed["towards"], turned["towards"])) > 0.05
+        # two fingers move, as there is no instrument that one of them would hold
+        assert np.linalg.norm(np.subtract(zoomed["target"], turned["target"])) > 0.5
+        assert np.linalg.norm(np.subtract(zoomed["towards"], turned["towards"])) < 1e-6
         tab.touchscreen.tap(x, y)
         assert tab.inner_text("#said").startswith(("This is: ", "There is nothing"))
         assert not [one for one in faults if "viewer.css" not in one]
