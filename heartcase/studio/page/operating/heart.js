@@ -218,6 +218,10 @@ export class Heart {
       if (mesh === null) continue;
       this.scene.remove(mesh);
       mesh.geometry.dispose();
+      for (const lips of mesh.children) {
+        lips.geometry.dispose();
+        lips.material.dispose();
+      }
     }
     for (const { whole, open } of this.coarse) {
       open.uniforms.nodeNormals.value.dispose();
