@@ -64,6 +64,8 @@ function run() {
     askMain: (request) => connection.ask(request).then(answered, fault),
     painted: () => [[...panel.structures, ...tissueInside], panel.hidden],
     mainHeader: () => open.header,
+    shown: () => showTime(),
+    told: (title, text) => notice("", [{ place: title, message: text }]),
     failed: fault,
   });
   const panel = new Panel({
@@ -203,7 +205,7 @@ function run() {
         answered(answer);
       }, fault);
     },
-    pause: () => ask({ do: "pause", paused: timeLine.mode !== "paused" }),
+    pause: () => ask(beside.pauseOrGoOn()),
     record: () => ask({ do: open.header?.recording ? "stop_recording" : "record" }),
     /** @param {number} steps */
     resize: (steps) => ask({ do: "resize", steps }),
@@ -363,8 +365,8 @@ function run() {
     open.header = header;
     panel.showForces(header);
     device.show(header);
-    timeLine.show(header);
     beside.keepTogether();
+    showTime();
     showState(header, before);
     // The next one comes when this one is drawn: a page that is slow or hidden is sent the newest then.
     requestAnimationFrame(() => connection.tell({ do: "seen", frame: header.frame }));
@@ -372,6 +374,10 @@ function run() {
       document.body.dataset.ready = "true";
       find("curtain").hidden = true;
     }
+  }
+
+  function showTime() {
+    if (open.header !== null) timeLine.show({ ...open.header, mode: beside.mode });
   }
 
   /** @param {Record<string, any>} header @param {Record<string, any> | null} before */
