@@ -99,7 +99,10 @@ function run() {
       ask: (request) => connection.ask(request),
       answered,
       failed: fault,
-      changed: () => picture.move(),
+      changed: () => {
+        if (camera === picture.camera) shower.stop();
+        picture.move();
+      },
       // one hand acts at a time
       hasTool: () => toolBar.tool !== "" && pointers.every((one) => one === made || !one.isUsed),
       isReady: () => isReady,
@@ -213,7 +216,10 @@ function run() {
     showAll: () => panel.showAll(),
     reset: () => {
       if (pointer === pointers[1] && second.isShown) second.reset();
-      else picture.camera.frame(...box);
+      else {
+        shower.stop();
+        picture.camera.frame(...box);
+      }
       picture.redraw();
     },
   };
