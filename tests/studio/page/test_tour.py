@@ -13,7 +13,6 @@ from tests.studio.axe.accessible import assert_accessible
 from tests.studio.page.browsing import browsing, until
 from tests.studio.page.test_operating import OPEN, CaseServer
 
-
 TURNED = """async (picture) => {
   const axis = () => [...picture.camera.towards];
   const scene = document.getElementById('scene');
