@@ -13,6 +13,18 @@ from tests.studio.axe.accessible import assert_accessible
 from tests.studio.page.browsing import browsing, until
 from tests.studio.page.test_operating import OPEN, CaseServer
 
+TURNED = """async (picture) => {
+  const axis = () => [...picture.camera.towards];
+  const scene = document.getElementById('scene');
+  document.querySelector('#panel-tour button.main').click();
+  await new Promise(requestAnimationFrame);
+  scene.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowRight', bubbles: true, cancelable: true }));
+  const turned = axis();
+  await new Promise((resolve) => setTimeout(resolve, 1000));
+  return [turned, axis()];
+}"""
+"""Where a user looks from who turns the heart while a tour's step begins to, and a second later."""
+
 
 @pytest.fixture
 def toured(tmp_path):
@@ -100,6 +112,14 @@ def test_a_tour_by_keys_alone(chromium, toured):
         assert page.text("#panel-tour h2") == "Two rooms"
 
 
+def test_who_turns_the_heart_has_the_camera(chromium, toured):
+    with browsing(chromium, toured) as page:
+        until(lambda: page.tab.locator("#tab-tour").is_visible())
+        page.tab.locator("#tab-tour").click()
+        turned, later = page.tab.evaluate(f"async () => ({TURNED})({OPEN}.picture)")
+        assert turned == later
+
+
 def test_a_tour_in_a_page_without_a_server(chromium, tmp_path):
     write_bundle(tmp_path / "hollow.case", hollow_case())
     (tmp_path / "hollow.tour.md").write_text(TOUR)
@@ -132,6 +152,9 @@ def test_a_tour_in_a_page_without_a_server(chromium, tmp_path):
     tab.get_by_role("button", name="End", exact=True).click()
     until(lambda: nodes() == whole)
     assert not tab.evaluate("heartcase.picture.plane.isOn")
+    tab.emulate_media(reduced_motion="no-preference")
+    turned, later = tab.evaluate(f"async () => ({TURNED})(heartcase.picture)")
+    assert turned == later
     assert faults == []
     context.close()
     bare = tmp_path / "bare.html"

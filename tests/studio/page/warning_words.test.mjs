@@ -21,3 +21,42 @@ test("English is what the server says, German is from kind and values, and what 
   const places = { text: "", code: "wall-gap", parts: { label: "aorta", where: "over 60 mm² in 2 patches, the largest near (-5.1, -0.7, -2.4) mm" } };
   assert.match(warningWords(places), /Lücke auf 60 mm² an 2 Stellen, die größte bei \(-5\.1, -0\.7, -2\.4\) mm und/);
 });
+
+test("a name stays as it is, what is said about it is German", () => {
+  language.value = "de";
+  const says = (code, parts) => warningWords({ text: "", code, parts });
+  const opening = { one: "Pouch and rest", other: "graft 3.5 mm near (x)", area: "12.5", place: "(1.0, 2.0, 3.0)" };
+  assert.match(says("opening-stated", { ...opening, by: "the landmark 'VSD and more'" }),
+    /^Pouch and rest und graft 3\.5 mm near \(x\) sind .* auf 12,5 mm² bei \(1\.0, 2\.0, 3\.0\) mm, wie angegeben durch die Landmarke 'VSD and more'\.$/);
+  assert.match(says("opening-too-large", { ...opening, by: "strokes 3 and 5, which run into each other" }), /angegeben durch die Striche 3 und 5, die ineinander laufen: /);
+  assert.match(says("opening-stated", { ...opening, by: 'edits[2] "near (and) over"' }), /durch edits\[2\] "near \(and\) over"\.$/);
+  assert.match(says("wall-gap", { label: "A and B", where: "over 3.5 mm² near (1.0, 2.0, 3.0) mm" }), /^A and B: Die Wand hat eine Lücke auf 3,5 mm² bei \(1\.0, 2\.0, 3\.0\) mm und/);
+});
+
+test("the faces of a scan have German names", () => {
+  language.value = "de";
+  const faces = {
+    "the head face of the scan": "Die Seite des Bildes zum Kopf",
+    "the face towards left and feet of the region of interest": "Die Seite des Ausschnitts nach links und zu den Füßen",
+    "the last slice (towards head and left) of the scan or its region of interest": "Die letzte Schicht des Bildes oder seines Ausschnitts (zum Kopf und nach links)",
+  };
+  for (const [face, german] of Object.entries(faces)) {
+    const said = warningWords({ text: "", code: "heart-cut-off", parts: { face, listed: "veins of the left and right (3.5 cm²), left ventricle (40 mm²)" } });
+    assert.ok(said.startsWith(`${german} schneidet das Herz ab, ohne Gefäßende: Venen von left and right (3,5 cm²), left ventricle (40 mm²). Was`), said);
+  }
+});
+
+test("what a warning lists is German about its names", () => {
+  language.value = "de";
+  const grown = (listed) => warningWords({ text: "", code: "grown-septum", parts: { listed } });
+  assert.ok(grown("left atrium and aorta over 30 mm² near (1.0, 2.0, 3.0) mm (1.5 mm thick); a and b over 2.5 mm² near (0.0, 0.0, 1.0) mm (2 mm thick)")
+    .includes(": left atrium und aorta auf 30 mm² bei (1.0, 2.0, 3.0) mm (1,5 mm dick); a und b auf 2,5 mm² bei (0.0, 0.0, 1.0) mm (2 mm dick). Ist"));
+  // which "and" is between the names nobody knows
+  assert.ok(grown("a and b and c over 2.5 mm² near (0.0, 0.0, 1.0) mm (2 mm thick)").includes(": a and b and c auf 2,5 mm² bei "));
+  const stray = warningWords({ text: "", code: "stray-pieces", parts: { label: "aorta", pieces: "5", listed: "0.5 ml near (1, 2, 3) mm, 0.25 ml near (4, 5, 6) mm and 2 more" } });
+  assert.ok(stray.includes(": 0,5 ml bei (1, 2, 3) mm, 0,25 ml bei (4, 5, 6) mm und 2 weitere: "), stray);
+  const gaps = (places) => warningWords({ text: "", code: "small-gaps", parts: { cell: "0.9", count: "9", places } });
+  assert.ok(gaps("the first at (1.0, 2.0, 3.0) mm and 6 more").includes("(0,9 mm): 9 Stellen, die ersten bei (1.0, 2.0, 3.0) mm und 6 weitere. "));
+  const loose = warningWords({ text: "", code: "floating-tissue", parts: { count: "1", cells: "1,234 cells", place: "(1.0, 2.0, 3.0)" } });
+  assert.ok(loose.startsWith("1 Stück Gewebe (1.234 Zellen) hängt"), loose);
+});

@@ -49,7 +49,8 @@ export class BuildTab {
    */
   constructor(studio, views, shaping, ask, onFault) {
     this.onFault = onFault;
-    this.results = new Results(studio, views, new Contacts(shaping, ask));
+    this.contacts = new Contacts(shaping, ask);
+    this.results = new Results(studio, views, this.contacts);
     this.approval = new Approval((request) => this.#ask(request), this.results);
     const url = new URL(location.pathname.replace("/prepare/", "/building/"), location.href);
     url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -122,6 +123,7 @@ export class BuildTab {
     find("build-changed").textContent = isRunning ? "" : this.#outcome(state);
     find("build-case").hidden = find("operate-above").hidden = made === null;
     if (made) {
+      this.contacts.setCurrent(state.age === "current" && !isRunning);
       this.results.show(made, state.before_ml);
       this.approval.show(made, isRunning || !isOpen);
     }

@@ -21,6 +21,10 @@ export class Contacts {
   #pictures = new Map();
   /** Told when what the recipe says of places changed. @type {() => void} */
   onSaid = () => undefined;
+  /** What the recipe says of places; empty before it is known. */
+  #saidNow = "";
+  /** What it said when the case was known to be built from it; null where it is not. @type {string | null} */
+  #saidBuilt = null;
 
   /**
    * @param {Shaping} shaping
@@ -29,12 +33,20 @@ export class Contacts {
   constructor(shaping, ask) {
     this.shaping = shaping;
     this.ask = ask;
-    let before = "";
     shaping.shape.listen((shape) => {
       const said = JSON.stringify([shape?.lines["walls.contact"], shape?.lines["walls.septum"]]);
+      const before = this.#saidNow;
+      this.#saidNow = said;
+      if (before === "" && this.#saidBuilt !== null) this.#saidBuilt = said;
       if (said !== before) this.onSaid();
-      before = said;
     });
+  }
+
+  /** Whether the case was built from the recipe as it stands. That is told later than what the recipe says. @param {boolean} isCurrent */
+  setCurrent(isCurrent) {
+    if (isCurrent === (this.#saidBuilt !== null)) return;
+    this.#saidBuilt = isCurrent ? this.#saidNow : null;
+    this.onSaid();
   }
 
   /** Of another case pictures are drawn anew. */
@@ -85,8 +97,10 @@ export class Contacts {
    */
   #acts(place, state) {
     const said = this.#said(place);
-    if (said) {
-      const isBuilt = said.entry.is_open ? state === "opened" : state === "confirmed";
+    const isBuilt = said?.entry.is_open ? state === "opened" : state === "confirmed";
+    // it was built, and came out otherwise: the place reaches farther than what is stated
+    const isUnfit = said !== null && !isBuilt && state !== "opened" && this.#saidBuilt === this.#saidNow;
+    if (said && !isUnfit) {
       const words = say(said.entry.is_open ? "contact_said_open" : "contact_said_wall");
       return [
         element("span", "said", isBuilt ? words : `${words} ${say(said.entry.is_open ? "contact_build" : "contact_noted")}`),
@@ -96,11 +110,12 @@ export class Contacts {
     if (state === "opened") return [element("span", "said", say("contact_stated"))];
     if (state === "unexpected" && this.#isApart(place)) return [element("span", "said", `${say("contact_apart")} ${say("contact_build")}`)];
     const real = button("contact_real", () => void this.#say(place, true));
-    if (state === "odd") return [real];
+    const before = isUnfit ? [element("span", "said", say("contact_unfit"))] : [];
+    if (state === "odd") return [...before, real];
     const wall = state === "unexpected"
       ? button("contact_grow", () => void this.shaping.add("walls.septum", [{ between: place.between, thickness_mm: WALL_MM }]))
       : button("contact_is_wall", () => void this.#say(place, false));
-    return [real, wall];
+    return [...before, real, wall];
   }
 
   /** @param {Place} place @param {boolean} isOpen */
@@ -109,10 +124,16 @@ export class Contacts {
     await this.shaping.add("walls.contact", [{ between, position_mm: center_mm, radius_mm: radius, is_open: isOpen }]);
   }
 
-  /** What the recipe says of a place now. @param {Place} place @returns {{number: number, entry: Entry} | null} */
+  /** What the recipe says of a place now: of several statements the one that was made nearest to it. @param {Place} place @returns {{number: number, entry: Entry} | null} */
   #said({ between, center_mm }) {
     const lines = this.shaping.shape.value?.lines["walls.contact"] ?? [];
-    const at = lines.findIndex((one) => isPair(one.between, between) && distance(one.position_mm, center_mm) <= one.radius_mm);
+    let at = -1;
+    let least = Infinity;
+    lines.forEach((one, n) => {
+      const far = distance(one.position_mm, center_mm);
+      if (!isPair(one.between, between) || far > Math.min(one.radius_mm, least)) return;
+      [at, least] = [n, far];
+    });
     return at < 0 ? null : { number: at + 1, entry: lines[at] };
   }
 

@@ -11,6 +11,8 @@ import { figure, say } from "../shared/words.js";
 
 /** So far, in simulated s, one may be ahead of the other before it waits. */
 const AHEAD_S = 0.15;
+/** Ends of one recording differ by rounding alone, s. */
+const SAME_S = 1e-6;
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -24,17 +26,26 @@ export class Beside {
   header = null;
   #name = "";
   #isReady = false;
+  /** Whether the recording is still to be asked for. */
+  #isDue = false;
+  /** A session was opened that may be another than that of the frame which is shown. */
+  #isDoubted = false;
   /** Which of both stands until the other has caught up. @type {"" | "main" | "beside"} */
   #waits = "";
+  /** Both were told to stand: nobody waits, nobody goes on by itself. */
+  #stands = false;
 
   /**
    * @param {Picture} main
    * @param {{askMain: (request: Record<string, unknown> & {do: string}) => void, painted: () => [readonly Painted[], Set<number>],
-   *   mainHeader: () => Record<string, any> | null, failed: (error: unknown) => void}} does
+   *   mainHeader: () => Record<string, any> | null, shown: () => void,
+   *   told: (title: string, text: string) => void, failed: (error: unknown) => void}} does `shown` is told when time or mode here changed
+   * @param {(canvas: HTMLCanvasElement) => Picture} makePicture
    */
-  constructor(main, does) {
+  constructor(main, does, makePicture = (canvas) => new Picture(canvas)) {
     this.main = main;
     this.does = does;
+    this.makePicture = makePicture;
     main.drawn.push(() => this.#follow());
     find("beside-close").addEventListener("click", () => this.close());
   }
@@ -47,23 +58,28 @@ export class Beside {
   open(name, mainName) {
     this.#name = name;
     this.#waits = "";
+    this.#stands = false;
     find("beside").hidden = false;
     find("theatre").dataset.beside = "true";
     find("main-title").textContent = mainName.replace(/\.recording$/, "");
     find("beside-title").textContent = name.replace(/\.recording$/, "");
     find("main-title").hidden = false;
+    this.#isDue = true;
     if (this.#connection !== null) {
-      this.#ask({ do: "replay", name });
+      this.#replay();
       return;
     }
     const canvas = document.createElement("canvas");
     canvas.setAttribute("aria-hidden", "true");
     find("beside-scene").replaceChildren(canvas);
-    this.picture = new Picture(canvas);
+    this.picture = this.makePicture(canvas);
     const url = new URL(location.pathname.replace("/operate/", "/beside/"), location.href);
     url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
     this.#connection = new Connection(url.href, (message) => this.#hear(message), (message) => this.#receive(message), this.does.failed);
     find("beside-time").textContent = say("operate_opening");
+    this.#connection.state.listen((state) => {
+      if (state !== "open") this.#isReady = false;
+    });
     this.#connection.open();
   }
 
@@ -72,7 +88,9 @@ export class Beside {
     this.#connection = null;
     this.#isReady = false;
     this.header = null;
+    this.#isDoubted = false;
     this.#waits = "";
+    this.does.shown();
     this.picture?.end();
     this.picture = null;
     find("beside-scene").replaceChildren();
@@ -86,7 +104,22 @@ export class Beside {
     const isOfTime = ["pause", "play", "back"].includes(request.do) || (request.do === "command" && request.command.kind === "go_to");
     if (!this.isOpen || !isOfTime) return;
     this.#waits = "";
+    this.#stands = request.do !== "play";
     this.#ask(request);
+  }
+
+  /** Of both together: while one waits for the other, or has come to its end before it, they play. */
+  get mode() {
+    const main = this.does.mainHeader()?.mode ?? "";
+    if (this.header === null || main !== "paused") return main;
+    return this.#waits === "" ? this.header.mode : "playing";
+  }
+
+  /** What shall be asked where a user lets time stand or go on: of recordings that stand what is known ahead is kept. */
+  pauseOrGoOn() {
+    if (this.mode !== "paused") return { do: "pause", paused: true };
+    const isKnownAhead = [this.header, this.does.mainHeader()].some((one) => one !== null && one.end_s > one.time_s);
+    return this.isOpen && isKnownAhead ? { do: "play" } : { do: "pause", paused: false };
   }
 
   /** One of the panes shows a moment: whoever is ahead while both play waits. */
@@ -97,7 +130,7 @@ export class Beside {
     const ahead = main.time_s - own.time_s;
     if (this.#waits === "main" && ahead <= 0) this.#go("main");
     else if (this.#waits === "beside" && ahead >= 0) this.#go("beside");
-    else if (this.#waits === "" && main.mode === "playing" && own.mode === "playing" && Math.abs(ahead) > AHEAD_S) {
+    else if (this.#waits === "" && !this.#stands && main.mode === "playing" && own.mode === "playing" && Math.abs(ahead) > AHEAD_S) {
       this.#waits = ahead > 0 ? "main" : "beside";
       this.#tell(this.#waits, { do: "pause", paused: true });
     }
@@ -124,24 +157,46 @@ export class Beside {
     else this.#ask(request);
   }
 
-  /** @param {Record<string, unknown> & {do: string}} request */
-  #ask(request) {
+  /** @param {Record<string, unknown> & {do: string}} request @param {() => void} [done] */
+  #ask(request, done) {
     if (!this.#isReady) return;
-    this.#connection?.ask(request).catch((error) => {
+    this.#connection?.ask(request).then(done, (error) => {
       if (!(error instanceof Lost)) this.does.failed(error);
     });
+  }
+
+  /** Where there is no line it is due when there is one. */
+  #replay() {
+    const name = this.#name;
+    this.#ask({ do: "replay", name }, () => {
+      if (name === this.#name) this.#isDue = false;
+    });
+  }
+
+  /**
+   * The first frame after a session was opened: another session than before knows another end, and plays no recording yet.
+   * @param {Record<string, any>} header
+   */
+  #compare(header) {
+    this.#isDoubted = false;
+    if (this.header !== null && Math.abs(header.end_s - this.header.end_s) < SAME_S) return;
+    this.#isDue = true;
+    this.#waits = "";
+    this.#replay();
   }
 
   /** @param {Message} message */
   #hear(message) {
     if (message.kind === "opened") {
-      const first = !this.#isReady;
       this.#isReady = true;
       const picture = /** @type {Picture} */ (this.picture);
       picture.heart.forgetNormalMap();
       picture.heart.paintStretch(message.stretch_colours);
       this.repaint();
-      if (first) this.#ask({ do: "replay", name: this.#name });
+      if (this.#isDue) this.#replay();
+      else this.#isDoubted = true;
+    } else if (message.kind === "message") {
+      this.does.told(this.#name.replace(/\.recording$/, ""), message.text);
     } else if (message.kind === "failed") {
       find("beside-time").textContent = (message.problems ?? []).map((/** @type {any} */ one) => one.message).join("; ");
     }
@@ -164,8 +219,10 @@ export class Beside {
     }
     const isNew = picture.heart.takeFrame(message, arrays);
     if (picture.tools.show(header, arrays) || isNew) picture.redraw();
+    if (this.#isDoubted) this.#compare(header);
     this.header = header;
     this.keepTogether();
+    this.does.shown();
     find("beside-time").textContent = say("operate_time_words", { time: figure(header.time_s, 2), end: figure(header.end_s, 2) });
     requestAnimationFrame(() => this.#connection?.tell({ do: "seen", frame: header.frame }));
   }

@@ -11,6 +11,7 @@ import { runLanguage, runTheme, runWords } from "../shared/looks.js";
 import { figure, language, say } from "../shared/words.js";
 import { NoWebGpu, SpringEngine } from "../springs/engine.js";
 import { Lattice } from "../springs/lattice.js";
+import { SceneShower } from "../touring/scene.js";
 import { showTours } from "../touring/told_tour.js";
 import { caseText, NoCase, readCase } from "./case_data.js";
 import { Colouring, Lit } from "./colouring.js";
@@ -85,13 +86,17 @@ async function run() {
   const marks = new Marks(/** @type {HTMLCanvasElement} */ (find("marks")), picture.camera);
   picture.drawn.push(() => marks.draw());
   const looking = new Looking(picture.camera, { changed: () => picture.move(), ended: () => tellSeen() });
+  const shower = new SceneShower(picture);
   const pointer = new Pointer(find("scene"), picture.camera, {
     ask: (request) => (hands === null ? Promise.resolve({ kind: "done", used: false }) : hands.ask(request)),
     answered: (answer) => {
       if (answer.used) wake();
     },
     failed: (error) => stop(error),
-    changed: () => picture.move(),
+    changed: () => {
+      shower.stop();
+      picture.move();
+    },
     hasTool: () => hands !== null && hands.tool !== "" && played === null,
     isReady: () => hands !== null,
     cursorMoved: () => showCursor(pointer.cursor),
@@ -321,6 +326,7 @@ async function run() {
   });
 
   const reset = () => {
+    shower.stop();
     picture.camera.frame(...box);
     picture.redraw();
   };
@@ -366,10 +372,16 @@ async function run() {
       turn_down: () => looking.turn(0, 1), nearer: () => looking.zoom(1), farther: () => looking.zoom(-1),
     });
     for (const button of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-side]"))) {
-      button.addEventListener("click", () => looking.moveTo(SIDES[/** @type {import("./looking.js").Side} */ (button.dataset.side)]));
+      button.addEventListener("click", () => {
+        shower.stop();
+        looking.moveTo(SIDES[/** @type {import("./looking.js").Side} */ (button.dataset.side)]);
+      });
     }
     for (const button of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-move]"))) {
-      button.addEventListener("click", moves[button.dataset.move ?? ""]);
+      button.addEventListener("click", () => {
+        shower.stop();
+        moves[button.dataset.move ?? ""]();
+      });
     }
     const shows = /** @type {HTMLInputElement} */ (find("landmarks"));
     shows.addEventListener("change", () => {
@@ -402,7 +414,7 @@ async function run() {
   panel.showRecordings(data.recordings.map(({ name }) => name));
   find("tab-recordings").hidden = data.recordings.length === 0;
   const tour = showTours(find("panel-tour"), data.tours, {
-    picture,
+    shower,
     hide: (numbers) => panel.hide(numbers),
     play: playPart,
     leave: () => {

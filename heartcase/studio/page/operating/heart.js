@@ -34,6 +34,8 @@ export class Heart {
   /** Coarser ones, from finer to coarser. @type {Coarse[]} */
   coarse = [];
   #isWhole = true;
+  /** Counts cases: a map that was decoded for an earlier one is not shown. */
+  #mapOf = 0;
   #colours = new Uint8Array(4 * STRUCTURES_MOST);
 
   /** @param {any} scene */
@@ -95,8 +97,14 @@ export class Heart {
    * @param {Uint8Array<ArrayBuffer>} png
    */
   async takeNormalMap(png) {
+    const mapOf = this.#mapOf;
     const options = /** @type {const} */ ({ colorSpaceConversion: "none", premultiplyAlpha: "none" });
     const picture = await createImageBitmap(new Blob([png], { type: "image/png" }), options);
+    if (mapOf !== this.#mapOf) {
+      picture.close();
+      return;
+    }
+    this.#disposeMap();
     const texture = new three.Texture(picture);
     texture.flipY = false;
     texture.generateMipmaps = true;
@@ -109,7 +117,17 @@ export class Heart {
 
   /** Another case may have no map: one that has sends its own. */
   forgetNormalMap() {
-    this.uniforms.hasMap.value = false;
+    this.#mapOf += 1;
+    this.#disposeMap();
+  }
+
+  #disposeMap() {
+    const { normalMap, hasMap } = this.uniforms;
+    if (!hasMap.value) return;
+    normalMap.value.dispose();
+    normalMap.value.image.close();
+    normalMap.value = this.uniforms.palette.value;
+    hasMap.value = false;
   }
 
   /** @param {Package} message */
@@ -218,6 +236,10 @@ export class Heart {
       if (mesh === null) continue;
       this.scene.remove(mesh);
       mesh.geometry.dispose();
+      for (const lips of mesh.children) {
+        lips.geometry.dispose();
+        lips.material.dispose();
+      }
     }
     for (const { whole, open } of this.coarse) {
       open.uniforms.nodeNormals.value.dispose();

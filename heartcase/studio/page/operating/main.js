@@ -64,6 +64,8 @@ function run() {
     askMain: (request) => connection.ask(request).then(answered, fault),
     painted: () => [[...panel.structures, ...tissueInside], panel.hidden],
     mainHeader: () => open.header,
+    shown: () => showTime(),
+    told: (title, text) => notice("", [{ place: title, message: text }]),
     failed: fault,
   });
   const panel = new Panel({
@@ -97,7 +99,10 @@ function run() {
       ask: (request) => connection.ask(request),
       answered,
       failed: fault,
-      changed: () => picture.move(),
+      changed: () => {
+        if (camera === picture.camera) shower.stop();
+        picture.move();
+      },
       // one hand acts at a time
       hasTool: () => toolBar.tool !== "" && pointers.every((one) => one === made || !one.isUsed),
       isReady: () => isReady,
@@ -203,7 +208,7 @@ function run() {
         answered(answer);
       }, fault);
     },
-    pause: () => ask({ do: "pause", paused: timeLine.mode !== "paused" }),
+    pause: () => ask(beside.pauseOrGoOn()),
     record: () => ask({ do: open.header?.recording ? "stop_recording" : "record" }),
     /** @param {number} steps */
     resize: (steps) => ask({ do: "resize", steps }),
@@ -211,7 +216,10 @@ function run() {
     showAll: () => panel.showAll(),
     reset: () => {
       if (pointer === pointers[1] && second.isShown) second.reset();
-      else picture.camera.frame(...box);
+      else {
+        shower.stop();
+        picture.camera.frame(...box);
+      }
       picture.redraw();
     },
   };
@@ -363,8 +371,8 @@ function run() {
     open.header = header;
     panel.showForces(header);
     device.show(header);
-    timeLine.show(header);
     beside.keepTogether();
+    showTime();
     showState(header, before);
     // The next one comes when this one is drawn: a page that is slow or hidden is sent the newest then.
     requestAnimationFrame(() => connection.tell({ do: "seen", frame: header.frame }));
@@ -372,6 +380,10 @@ function run() {
       document.body.dataset.ready = "true";
       find("curtain").hidden = true;
     }
+  }
+
+  function showTime() {
+    if (open.header !== null) timeLine.show({ ...open.header, mode: beside.mode });
   }
 
   /** @param {Record<string, any>} header @param {Record<string, any> | null} before */

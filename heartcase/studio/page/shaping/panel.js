@@ -307,11 +307,9 @@ export class ShapePanel {
       remove.append(icon("remove"));
       onOneClick(remove, () => void this.shaping.set(["materials", "labels", name], null));
       head.append(element("h4", "", name), remove);
-      const whole = { ...Object.fromEntries(fields.map((one) => [one.name, one.default])), ...entry };
-      parts.push(head, ...formRows(fields, whole, [], (key, value) => {
-        // a material states its numbers itself
-        const next = key === "material" && value !== null ? { material: value } : changed(entry, key, value);
-        void this.shaping.set(["materials", "labels", name], Object.keys(next).length > 0 ? next : whole);
+      const usual = Object.fromEntries(fields.map((one) => [one.name, one.default ?? null]));
+      parts.push(head, ...formRows(fields, { ...usual, ...entry }, [], (key, value) => {
+        void this.shaping.set(["materials", "labels", name], constants(entry, usual, key, value));
       }), ...this.#basis(entry.material));
     }
     const select = element("select", "add-material");
@@ -361,6 +359,18 @@ function changed(entry, name, value) {
     next.long_axis ??= besides(entry.axis);
   }
   return next;
+}
+
+/**
+ * What a label's table of constants states after one of them was changed: never nothing, or there is no table.
+ * @param {Entry} entry what it states @param {Entry} usual what holds where nothing is stated: no material, but numbers
+ * @param {string} key @param {any} value null leaves it out @returns {Entry}
+ */
+export function constants(entry, usual, key, value) {
+  // a material states its numbers itself
+  if (key === "material" && value !== null) return { material: value };
+  const next = changed(entry, key, value);
+  return Object.keys(next).length > 0 ? next : usual;
 }
 
 /** A direction across another: the patient's vertical as far as it goes. @param {readonly number[]} axis */

@@ -16,8 +16,9 @@ export class Preview {
   isOn = new Signal(false);
   /** Cut open at the crosshair. */
   cuts = new Signal(false);
-  /** Whether one is being made. */
+  /** Whether one is being made, or the fine one is due that follows a first look. */
   isBusy = new Signal(false);
+  #isMaking = false;
   /** What is not in the surface, and why. */
   problems = new Signal(/** @type {readonly Problem[]} */ ([]));
   #isStale = false;
@@ -48,8 +49,8 @@ export class Preview {
   }
 
   async #make() {
-    if (this.isBusy.value || !this.isOn.value) return;
-    this.isBusy.value = true;
+    if (this.#isMaking || !this.isOn.value) return;
+    this.#isMaking = this.isBusy.value = true;
     try {
       while (this.#isStale && this.isOn.value) {
         const coarse = this.#isCoarse;
@@ -67,7 +68,8 @@ export class Preview {
       this.isOn.value = false;
       this.onFault(error);
     } finally {
-      this.isBusy.value = false;
+      this.#isMaking = false;
+      this.isBusy.value = this.#isStale && this.isOn.value;
     }
   }
 

@@ -1,6 +1,5 @@
 /** A tour without a server: what its steps do was done when the page was made, and is played. */
 
-import { SceneShower } from "./scene.js";
 import { TourPanel } from "./tour_panel.js";
 
 /** @typedef {import("./tour_panel.js").Tour & {parts: number[], ends: number[]}} ToldTour */
@@ -8,12 +7,12 @@ import { TourPanel } from "./tour_panel.js";
 /**
  * @param {HTMLElement} root
  * @param {readonly ToldTour[]} tours
- * @param {{picture: import("../operating/picture.js").Picture, hide: (numbers: number[]) => void,
+ * @param {{shower: import("./scene.js").SceneShower, hide: (numbers: number[]) => void,
  *   play: (told: ToldTour, from: number, until: number) => void, leave: () => void,
  *   looked: () => void}} does `play` shows moments of what a tour does, `leave` none; `looked` is told when the eye is where it shall be
  */
 export function showTours(root, tours, does) {
-  const shower = new SceneShower(does.picture);
+  const { shower } = does;
   const panel = new TourPanel(root, {
     show: (scene) => {
       does.hide(scene.hidden);

@@ -33,6 +33,7 @@ export const words = {
   contact_back: "Zurücknehmen",
   contact_said_open: "Ein echter Defekt, sagt das Rezept.",
   contact_said_wall: "Wand, sagt das Rezept.",
+  contact_unfit: "Was das Rezept hier angibt, passt nicht zu dieser Stelle: Sagen Sie noch einmal, was sie ist.",
   contact_stated: "Offen: Das Rezept gibt hier einen Defekt an.",
   contact_apart: "Eine Wand ist verlangt.",
   contact_build: "Neu bauen, damit es gilt.",

@@ -32,6 +32,7 @@ export const words = {
   contact_back: "Take back",
   contact_said_open: "A real defect, says the recipe.",
   contact_said_wall: "Wall, says the recipe.",
+  contact_unfit: "What the recipe states here does not fit this place: say again what it is.",
   contact_stated: "Open: the recipe states a defect here.",
   contact_apart: "A wall is asked for.",
   contact_build: "Build again to have it.",
