@@ -214,6 +214,8 @@ def test_what_is_put_off_counts_as_changed_and_boxes_are_taken_as_numpy_takes_th
         before.paint(Stroke(label="aorta", points_mm=(world((1, 1, 1)),)))
         session = painted(puts_off=True)
         outside = np.ones(SHAPE, bool)
-        outside[session.take_changed()] = False
+        changed = session.take_changed()
+        assert changed is not None
+        outside[changed] = False
         np.testing.assert_array_equal(session.labels[outside], before.labels[outside])
         assert (session.labels != before.labels).any()
