@@ -8,6 +8,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -326,13 +327,15 @@ class Building:
             if stamps != seen_cases and self._process is None:
                 # what lay at the place of a new name before is another heart's, or nothing is shown yet
                 is_shown = self._outcome is not None
-                changed = [case for case, one in stamps.items() if seen_cases.get(case, one if is_shown else None) != one]
+                changed = [
+                    case for case, one in stamps.items() if seen_cases.get(case, one if is_shown else None) != one
+                ]
                 seen_cases = stamps
-                for case in changed[:1]:
-                    if await self._run(lambda case=case: self._is_case_new(case)):
-                        self._built_from = None
-                        await self._run(lambda case=case: self._look_at_case(case))
-                        self._tell()
+                is_new = bool(changed) and await self._run(partial(self._is_case_new, changed[0]))
+                if is_new:
+                    self._built_from = None
+                    await self._run(partial(self._look_at_case, changed[0]))
+                    self._tell()
             await asyncio.sleep(_LOOK_EVERY_S)
 
     def _state(self) -> str:

@@ -123,7 +123,7 @@ def test_a_case_of_a_recipe_that_was_renamed_is_the_one_that_is_shown_opened_and
         sha256 = told.first["case"]["sha256"]
         at_first = told.ask(do="operate")["address"]
         for name in ("other", "nowhere"):
-            copy.write_text(re.sub(r'^name = ".*"$', f'name = "{name}"', copy.read_text(), flags=re.MULTILINE))
+            copy.write_text(re.sub(r'^name = ".*"$', f'name = "{name}"', copy.read_text(), count=1, flags=re.MULTILINE))
             state = until(told, lambda state: state["age"] == "older")
             assert state["case"]["name"] == "ball"
             assert told.ask(do="operate")["address"] == at_first
