@@ -21,13 +21,13 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.settings import ContactPlace
 
-__all__ = ["ContactPatch", "grown_warnings", "judged_places", "patches_of"]
+__all__ = ["LEAST_REST_MM2", "ContactPatch", "grown_warnings", "judged_places", "patches_of"]
 
 LEAST_MM2 = 1.0
 """Smaller patches beside a larger one are no places of their own."""
 LEAST_REST_MM2 = 3.0
-"""What is no place of its own is still warned of, once the places are settled, where it is so much together: a circle of
-2 mm."""
+"""What is no place of its own is still warned of, once the places are settled, where it is so much together: as much as
+a circle of 2 mm."""
 MOST_PLACES = 8
 """Patches of one septum that are places of their own."""
 POINT_COUNT = 48
@@ -111,7 +111,8 @@ def judged_places(
         The figures with a ``state`` of each place and without its points: ``grown``, ``opened`` where stated openings
         hold each of its points or come within a voxel of it, or ``confirmed`` where what the recipe says is wall holds
         the other points; between the points, :data:`POINT_COUNT` at most, nothing is looked at. The area of a place is
-        what is left of it, and so is that of ``others``, its patches that are no places. And the warnings of what is left.
+        what is left of it, and so is that of ``others``, the patches of a septum that are no places. And the warnings
+        of what is left.
     """
     judged = [_judged(one, openings, said, table, voxel_mm) for one in figures]
     return judged, (*grown_warnings(judged), *_confirmed_notes(judged))
