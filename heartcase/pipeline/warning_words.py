@@ -26,6 +26,19 @@ SENTENCES: Mapping[str, str] = {
         "the wall that was grown between {one} and {other} over {area#} mm² near {place} mm is wall, as the "
         "recipe says (walls.contact)"
     ),
+    "contact-not-open": (
+        "the recipe says that {one} and {other} are open to each other near {place} mm, but the model has no "
+        "opening there: look whether the outlines of the two still touch there, and whether another entry says "
+        "that it is wall; then state the opening anew, or take this entry out of the recipe"
+    ),
+    "contact-no-wall": (
+        "the recipe says that the place between {one} and {other} near {place} mm is wall, but no wall was grown "
+        "there: look what is there now, and take this entry out of the recipe"
+    ),
+    "contact-normal": (
+        "{one} and {other} are open to each other in every heart, so what the recipe says of the place near "
+        "{place} mm has no effect: take this entry out of the recipe, or name the two in [[walls.septum]]"
+    ),
     "opening-unexpected": (
         "{one} and {other} are open to each other over {area#} mm²[ in {patches#} patches, the largest] near "
         "{place} mm: paint the wall between them (a stroke of background, or of the muscle), or the third cavity "

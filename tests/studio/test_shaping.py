@@ -156,6 +156,8 @@ WRONG = [
         "materials.labels.aorta wall",
     ),
     ({"do": "set", "place": ["materials", "labels", "aorta"], "value": None}, "materials.labels.aorta"),
+    ({"do": "set", "place": ["materials"]}, "materials"),
+    ({"do": "set", "place": ["labels"]}, "labels"),
     ({"do": "set", "place": ["grid", "node_count"], "value": [1]}, "grid.node_count"),
     ({"do": "set", "place": ["grid", "node_count"], "value": 2}, "grid.node_count"),
     ({"do": "propose", "about": "septum", "position_mm": [900, 0, 0]}, "position_mm"),
@@ -306,6 +308,8 @@ def test_a_name_a_material_and_what_a_place_is_are_lines_of_the_recipe_and_taken
         assert bad["kind"] == "refused"
         # a material instead of numbers that were stated
         talker.ask(do="set", place=["materials", "youngs_modulus_kpa"], value=20)
+        talker.ask(do="set", place=["materials", "material"], value=None)
+        assert read(path).materials.youngs_modulus_kpa == 20.0
         talker.ask(do="set", place=["materials", "material"], value="infant myocardium")
         assert read(path).materials.youngs_modulus_kpa == 15.0
         assert "youngs_modulus_kpa" not in path.read_text()

@@ -191,6 +191,7 @@ def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:
             grid_map=outputs.grid_map.get() if outputs.grid_map else None,
             volumes_ml=assembled.volumes_ml,
             openings=assembled.openings,
+            septa=assembled.septa,
             timings_s=runner.seconds,
             stages=work.records,
             warnings=assembled.warnings,

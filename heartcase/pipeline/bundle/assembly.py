@@ -92,6 +92,8 @@ class AssembledCase:
     """Label value -> volume, ml."""
     openings: tuple[Opening, ...]
     """Where cavities are open to each other, the worst first."""
+    septa: tuple[dict[str, Any], ...] = ()
+    """The septa that were grown, with what is to be thought of their places."""
 
 
 def labels_of(structures: Structures) -> Segmentation:
@@ -162,6 +164,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     from heartcase.pipeline.image.scan_part import scan_part
     from heartcase.pipeline.walls.grow_walls import structure_volumes_ml
     from heartcase.pipeline.walls.grown_places import judged_places
+    from heartcase.pipeline.walls.said_places import said_warnings
 
     scan, grid, structures, surface = results.scan, results.grid, results.structures, results.surface
     grid_map, filtered = results.grid_map, results.filtered
@@ -193,14 +196,11 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
         quality["volumes_ml"] = {structures.table[value].name: round(ml, 3) for value, ml in volumes_ml.items()}
         quality["openings"] = opening_figures(openings)
         told["cut"] = (*cut_warnings(labels, whole=results.whole, ends=structures.vessel_ends), *told["cut"])
-        told["openings"] = opening_warnings(openings)
-        septa, of_septa = judged_places(
-            structures.quality.get("septa", ()),
-            openings,
-            recipe.walls.contact,
-            structures.table,
-            structures.geometry.voxel_volume_mm3 ** (1.0 / 3.0),
-        )
+        voxel_mm = structures.geometry.voxel_volume_mm3 ** (1.0 / 3.0)
+        grown = structures.quality.get("septa", ())
+        septa, of_septa = judged_places(grown, openings, recipe.walls.contact, structures.table, voxel_mm)
+        of_said = said_warnings(grown, openings, recipe.walls, structures.table, voxel_mm, recipe.edits)
+        told["openings"] = (*of_said, *opening_warnings(openings))
         # the walls stage did not know of edits, nor of what a person said
         others = with_edit_names(structures.warnings, recipe.edits)
         told["structures"] = [
@@ -251,4 +251,4 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
             warnings=warnings,
         ),
     )
-    return AssembledCase(content, warnings, surface, volumes_ml, openings)
+    return AssembledCase(content, warnings, surface, volumes_ml, openings, tuple(septa))

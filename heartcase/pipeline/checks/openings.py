@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from heartcase.pipeline.checks.contact_balls import open_balls
 from heartcase.pipeline.data import Segmentation, Structures
 from heartcase.pipeline.fields.contacts import Contact, find_contact
 from heartcase.pipeline.markers.meeting_strokes import meetings_of
@@ -32,6 +33,7 @@ from heartcase.schemas.terms import Term, term_by_name
 
 __all__ = [
     "POINT_REACH_MM",
+    "REACH_VOXELS",
     "Opening",
     "Verdict",
     "find_openings",
@@ -168,6 +170,8 @@ class Opening:
     the volume is not known."""
     points_mm: Float64 = field(default_factory=lambda: np.empty((0, 3)), compare=False, repr=False)
     """Centres of the faces between the two, world mm, shape (face_count, 3)."""
+    reach_mm: float = field(default=0.0, compare=False)
+    """Distance from its centre to the farthest face of the largest patch, mm."""
     statement: _Statement | None = field(default=None, compare=False, repr=False)
     """The place that the recipe states."""
 
@@ -196,11 +200,6 @@ class Opening:
         """Which points, world mm, shape (n, 3), lie within the place that states it, or so near; none if none does."""
         none: Bool = np.zeros(len(points_mm), np.bool_)
         return none if self.statement is None else self.statement.covers(points_mm, margin_mm)
-
-    @property
-    def reach_mm(self) -> float:
-        """Distance from its centre to its farthest face, mm."""
-        return float(np.linalg.norm(self.points_mm - self.center_mm, axis=1).max(initial=0.0))
 
     def has_rim_at(self, points_mm: Float64, normals: Float64, reach_mm: float) -> Bool:
         """Which points of the tissue's border are its rim: near its faces, or on the wall of the canal it was cut by.
@@ -375,12 +374,16 @@ def _usual_mm(pair: tuple[Label, Label], root_m: float | None) -> float | None:
 
 def _opening(contact: Contact, pair: tuple[Label, Label], verdict: Verdict) -> Opening:
     """Measure the faces of one pair; ``pair`` is by ascending value."""
+    extent = contact.extent()
     return Opening(
         (pair[0].value, pair[1].value),
         (pair[0].name, pair[1].name),
-        *contact.extent(),
+        extent.area_mm2,
+        extent.patches,
+        extent.center_mm,
         verdict,
         points_mm=contact.points_mm,
+        reach_mm=extent.reach_mm,
     )
 
 
@@ -424,10 +427,9 @@ def _stated_by_pairs(pairs: Sequence[tuple[str, str]], table: LabelTable) -> Ite
 
 
 def _stated_by_contacts(places: Sequence[ContactPlace], table: LabelTable) -> Iterator[_Statement]:
-    for number, one in enumerate(places, start=1):
-        if one.is_open:
-            low, high = sorted(table[name].value for name in one.between)
-            yield _Statement(f"walls.contact[{number}]", np.array(one.position_mm), one.radius_mm, values=(low, high))
+    for ball in open_balls(places, table):
+        words = f"walls.contact[{ball.number}]"
+        yield _Statement(words, np.array(ball.center_mm), ball.radius_mm, values=ball.values)
 
 
 def _warnings_of(one: Opening) -> Iterator[CaseWarning]:

@@ -53,6 +53,8 @@ class Extent(NamedTuple):
     """Pieces that do not touch."""
     center_mm: tuple[float, float, float]
     """The point of the largest patch that is nearest to its mean, world mm."""
+    reach_mm: float
+    """Distance from there to the farthest face of that patch."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,8 @@ class Contact:
         middle = np.average(points, axis=0, weights=area[largest])
         nearest = points[np.argmin(np.linalg.norm(points - middle, axis=1).round(6))]
         center = (float(nearest[0]), float(nearest[1]), float(nearest[2]))
-        return Extent(float(area.sum()), int(patches), center)
+        reach = float(np.linalg.norm(points - nearest, axis=1).max())
+        return Extent(float(area.sum()), int(patches), center, reach)
 
     def _areas_mm2(self, neighbours: Intp) -> Float64:
         """Each face's share of the smooth border, shape (n,), above zero."""

@@ -305,7 +305,10 @@ class SegmentationSession:
         return self.labels_of_boxes([box])[0]
 
     def take_changed(self) -> Box | None:
-        """The box of all changes since this was asked last; None where nothing changed."""
+        """The box of all changes since this was asked last; None where nothing changed.
+
+        After :meth:`put_off` it is the whole scan where anything was put off meanwhile.
+        """
         box, self._changed = self._changed, None
         return box
 
@@ -459,10 +462,15 @@ class SegmentationSession:
     def _note(self, box: Box | None) -> Box | None:
         if self._locks.values:
             self._locks.hold(self._forest.labels, box)
-        if box is not None and self._changed is not None:
-            pairs = zip(box, self._changed, strict=True)
+        changed = box
+        if self._forest.put_off.any():
+            # what is put off is not known to have stayed
+            k, j, i = (slice(0, n) for n in self._forest.labels.shape)
+            changed = k, j, i
+        if changed is not None and self._changed is not None:
+            pairs = zip(changed, self._changed, strict=True)
             k, j, i = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in pairs)
             self._changed = (k, j, i)
-        elif box is not None:
-            self._changed = box
+        elif changed is not None:
+            self._changed = changed
         return box

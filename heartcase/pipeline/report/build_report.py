@@ -35,12 +35,14 @@ from heartcase.pipeline.report.report_pictures import (
 )
 from heartcase.pipeline.stages.resolve import SettingRules
 from heartcase.pipeline.stages.table import STAGES
+from heartcase.pipeline.walls.grown_places import LEAST_REST_MM2
 from heartcase.pipeline.warnings import CaseWarning, WarningGroup, grouped
 from heartcase.schemas.bundle.format import CaseManifest, StageRecord
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe.recipe import Recipe
 
 __all__ = [
+    "STATE_WORDS",
     "VERDICT_WORDS",
     "OpeningRow",
     "ReportData",
@@ -68,6 +70,12 @@ VERDICT_WORDS = {
     Verdict.STATED: "not in a normal heart; meant, says",
     Verdict.EXPECTED: "in every normal heart",
 }
+STATE_WORDS = {
+    "grown": "grown, not seen: look at it",
+    "opened": "open, as the recipe states",
+    "confirmed": "wall, as the recipe says (walls.contact)",
+}
+"""What is to be thought of a place of a grown septum, by its state."""
 _TOTALS = {
     "Blood in the chambers": (Role.BLOOD,),
     "Blood in the vessels": (Role.VESSEL_LUMEN,),
@@ -128,6 +136,10 @@ class SeptumRow:
     """Pieces of the contact."""
     place: str
     """A point of the largest piece."""
+    state: str = ""
+    """What is to be thought of it, in words."""
+    is_doubtful: bool = False
+    """Whether a person must look at it."""
 
 
 @dataclass(frozen=True)
@@ -236,6 +248,8 @@ class ReportInputs:
     """The bundle hash of the case."""
     openings: Sequence[Opening] = ()
     """Where cavities are open to each other, the worst first."""
+    septa: Sequence[Mapping[str, Any]] = ()
+    """The septa that were grown, judged: :func:`heartcase.pipeline.walls.grown_places.judged_places`."""
     sureness: Sureness | None = None
     """How sure the segmentation is; None where it was not made by watershed."""
     rules: SettingRules | None = None
@@ -307,7 +321,7 @@ def build_report(inputs: ReportInputs) -> str:
             totals=list(totals.items()),
             openings=[_opening_row(one) for one in inputs.openings],
             ends=ends,
-            septa=[_septum_row(one) for one in structures.quality.get("septa", ())],
+            septa=[row for one in inputs.septa for row in _septum_rows(one)],
             quality={title: facts for title, facts in quality.items() if facts},
             hand_work=hand_work_facts(recipe, scan, rules=inputs.rules),
             stages=_stage_rows(inputs.stages, inputs.timings_s),
@@ -357,15 +371,24 @@ def _scan_facts(recipe: Recipe, scan: Scan) -> list[Fact]:
     return facts
 
 
-def _septum_row(figure: Mapping[str, Any]) -> SeptumRow:
-    one, other = figure["between"]
-    return SeptumRow(
-        f"{one} and {other}",
-        float(figure["area_mm2"]),
-        float(figure["thickness_mm"]),
-        int(figure["patches"]),
-        placed(figure["center_mm"]),
-    )
+def _septum_rows(figure: Mapping[str, Any]) -> list[SeptumRow]:
+    """A row of each place of a septum, and one of all its smaller patches together."""
+    between, thickness = " and ".join(figure["between"]), float(figure["thickness_mm"])
+    rows = []
+    for place in figure.get("places", ()):
+        state = place["state"]
+        words, where = STATE_WORDS[state], placed(place["center_mm"])
+        rows.append(SeptumRow(between, float(place["area_mm2"]), thickness, 1, where, words, state == "grown"))
+    if "others" in figure:
+        area, count = float(figure["others"]["area_mm2"]), int(figure["patches"]) - len(rows)
+        is_left = area >= LEAST_REST_MM2
+        words = STATE_WORDS["grown"] if is_left else "smaller patches"
+        rows.append(SeptumRow(between, area, thickness, count, placed(figure["others"]["center_mm"]), words, is_left))
+    if not rows:
+        place = placed(figure["center_mm"])
+        words, count = STATE_WORDS["grown"], int(figure["patches"])
+        rows.append(SeptumRow(between, float(figure["area_mm2"]), thickness, count, place, words, True))
+    return rows
 
 
 def _opening_row(one: Opening) -> OpeningRow:

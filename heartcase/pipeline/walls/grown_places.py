@@ -8,7 +8,7 @@ afterwards, and whether somebody looked at it and took it for wall, is known whe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,13 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.settings import ContactPlace
 
-__all__ = ["ContactPatch", "grown_warnings", "judged_places", "patches_of"]
+__all__ = ["LEAST_REST_MM2", "ContactPatch", "grown_warnings", "judged_places", "patches_of"]
 
 LEAST_MM2 = 1.0
 """Smaller patches beside a larger one are no places of their own."""
+LEAST_REST_MM2 = 3.0
+"""What is no place of its own is still warned of, once the places are settled, where it is so much together: as much as
+a circle of 2 mm."""
 MOST_PLACES = 8
 """Patches of one septum that are places of their own."""
 POINT_COUNT = 48
@@ -54,17 +57,30 @@ class ContactPatch:
         }
 
 
-def patches_of(contact: Contact) -> tuple[ContactPatch, ...]:
-    """The patches of a contact of one pair that are worth a look, the largest first; always the largest one."""
+def patches_of(contact: Contact) -> tuple[tuple[ContactPatch, ...], ContactPatch | None]:
+    """The patches of a contact of one pair that are worth a look, the largest first; always the largest one.
+
+    And all others together, with the centre of the largest of them; None where there are none.
+    """
     found = []
     for patch in contact.patches():
-        area, _, center = patch.extent()
-        points = patch.points_mm
-        radius = float(np.linalg.norm(points - center, axis=1).max())
-        chosen = points[np.unique(np.linspace(0, len(points) - 1, min(len(points), POINT_COUNT)).astype(np.int64))]
-        found.append(ContactPatch(center, area, radius, chosen))
+        extent, points = patch.extent(), patch.points_mm
+        found.append(ContactPatch(extent.center_mm, extent.area_mm2, extent.reach_mm, points))
     found.sort(key=lambda one: (-round(one.area_mm2, 1), one.center_mm))
-    return tuple(one for n, one in enumerate(found[:MOST_PLACES]) if n == 0 or one.area_mm2 >= LEAST_MM2)
+    count = sum(n == 0 or one.area_mm2 >= LEAST_MM2 for n, one in enumerate(found[:MOST_PLACES]))
+    places, rest = found[:count], found[count:]
+    others = None
+    if rest:
+        points, center = np.concatenate([one.points_mm for one in rest]), rest[0].center_mm
+        radius = float(np.linalg.norm(points - center, axis=1).max())
+        others = ContactPatch(center, sum(one.area_mm2 for one in rest), radius, _some(points))
+    return tuple(replace(one, points_mm=_some(one.points_mm)) for one in places), others
+
+
+def _some(points_mm: Float64) -> Float64:
+    """Points spread over all, in their order."""
+    count = min(len(points_mm), POINT_COUNT)
+    return points_mm[np.unique(np.linspace(0, len(points_mm) - 1, count).astype(np.int64))]
 
 
 def judged_places(
@@ -92,9 +108,11 @@ def judged_places(
     Returns
     -------
     figures, warnings
-        The figures with a ``state`` of each place and without its points: ``grown``, ``opened`` where a stated opening
-        leaves no more of it than a rim narrower than a voxel, or ``confirmed`` where the recipe says that it is wall.
-        The area of a place is what is left of it. And the warnings of what is left.
+        The figures with a ``state`` of each place and without its points: ``grown``, ``opened`` where stated openings
+        hold each of its points or come within a voxel of it, or ``confirmed`` where what the recipe says is wall holds
+        the other points; between the points, :data:`POINT_COUNT` at most, nothing is looked at. The area of a place is
+        what is left of it, and so is that of ``others``, the patches of a septum that are no places. And the warnings
+        of what is left.
     """
     judged = [_judged(one, openings, said, table, voxel_mm) for one in figures]
     return judged, (*grown_warnings(judged), *_confirmed_notes(judged))
@@ -134,6 +152,8 @@ def _left(figure: Mapping[str, Any]) -> Mapping[str, Any] | None:
     open_yet = [one for one in places if one.get("state", "grown") == "grown"]
     if not settled:
         return figure
+    if figure.get("others", {"area_mm2": 0.0})["area_mm2"] >= LEAST_REST_MM2:
+        open_yet.append(figure["others"])
     if not open_yet:
         # small patches beside those that were looked at
         return None
@@ -165,7 +185,17 @@ def _judged(
         left = place["area_mm2"] if state == "opened" else place["area_mm2"] * float((~is_open).mean())
         rest = {key: value for key, value in place.items() if key != "points_mm"}
         places.append(rest | {"area_mm2": round(left, 1), "state": state})
-    return {**figure, "places": places} if "places" in figure else dict(figure)
+    judged = {**figure, "places": places} if "places" in figure else dict(figure)
+    if "others" in figure:
+        points = np.array(figure["others"]["points_mm"])
+        is_left = np.ones(len(points), np.bool_)
+        for one in stated:
+            is_left &= ~one.holds(points, voxel_mm)
+        for wall in walls:
+            is_left &= np.linalg.norm(points - wall.position_mm, axis=1) > wall.radius_mm + voxel_mm
+        rest = {key: value for key, value in figure["others"].items() if key != "points_mm"}
+        judged["others"] = rest | {"area_mm2": round(rest["area_mm2"] * float(is_left.mean()), 1)}
+    return judged
 
 
 def _confirmed_notes(figures: Sequence[Mapping[str, Any]]) -> tuple[CaseWarning, ...]:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from heartcase.pipeline.checks.contact_balls import open_balls
 from heartcase.pipeline.checks.openings import POINT_REACH_MM, Verdict, root_of_surface_m, states_an_opening, verdict_of
 from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
 from heartcase.pipeline.fields.contacts import Contact, Extent, find_contact
@@ -163,6 +164,8 @@ class SeptumFigures:
     """The contact on both sides of which it was grown, without the openings that the recipe states in it."""
     places: tuple[ContactPatch, ...] = ()
     """Its patches that are worth a look, the largest first."""
+    others: ContactPatch | None = None
+    """All its other patches together; None where there are none."""
 
 
 def open_places(
@@ -177,15 +180,13 @@ def open_places(
     near it: a ring a canal of its radius, a point a ball of its radius or of
     :data:`~heartcase.pipeline.checks.openings.POINT_REACH_MM`. Strokes of two cavities that run into each other open
     the septum between these two along both lines, as wide as the narrower brush. A place of ``walls.contact`` that is
-    open is a ball between its two.
+    open is a ball between its two, which keeps out of the places of the same two that are wall.
     """
     places = [_of_landmark(landmark) for landmark in landmarks if states_an_opening(landmark)]
     for one in meetings_of(strokes, table):
         places += [OpenPlace("strokes", tube, one.radius_mm, one.values) for tube in one.tubes_mm]
     places += [
-        OpenPlace("strokes", (one.position_mm,), one.radius_mm, _values(table, one.between))
-        for one in contacts
-        if one.is_open
+        OpenPlace("strokes", (ball.center_mm,), ball.radius_mm, ball.values) for ball in open_balls(contacts, table)
     ]
     return tuple(places)
 
@@ -238,7 +239,7 @@ def with_septa(
     for one in septa:
         closed = _closed(contact[(contact.pairs == (one.first, one.second)).all(axis=1)], places, voxel_mm)
         if closed is not None:
-            figures.append(SeptumFigures(one, closed.extent(), patches_of(closed)))
+            figures.append(SeptumFigures(one, closed.extent(), *patches_of(closed)))
     return grown, tuple(figures)
 
 
@@ -359,6 +360,7 @@ def septum_figures(figures: Sequence[SeptumFigures], table: LabelTable) -> list[
             "center_mm": [round(value, 1) + 0.0 for value in one.extent.center_mm],
             "places": [place.figures() for place in one.places],
         }
+        | ({} if one.others is None else {"others": one.others.figures()})
         for one in sorted(figures, key=lambda one: (-round(one.extent.area_mm2, 1), one.septum.value))
     ]
 

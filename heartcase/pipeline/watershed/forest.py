@@ -203,9 +203,10 @@ class Forest:
         Parameters
         ----------
         boxes
-            Within the volume. A tile is settled where one of them is all of it.
+            What lies outside of the volume is left out. A tile is settled where one of them is all of it.
         """
         changed = np.zeros_like(self.put_off)
+        boxes = [_within(box, self.labels.shape) for box in boxes]
         boxes = [box for box in boxes if self.put_off[_tiles_around(box)].any()]
         if not boxes:
             return
@@ -357,6 +358,15 @@ def _around_both(one: Box | None, other: Box | None) -> Box | None:
     if one is None or other is None:
         return one or other
     k, j, i = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    return k, j, i
+
+
+def _within(box: Box, shape: tuple[int, ...]) -> Box:
+    """The voxels that NumPy takes of it, in whole numbers and without steps; an empty one has no tiles."""
+    found = [range(*one.indices(n)) for one, n in zip(box, shape, strict=True)]
+    if not all(found):
+        return slice(0, 0), slice(0, 0), slice(0, 0)
+    k, j, i = (slice(min(one), max(one) + 1) for one in found)
     return k, j, i
 
 

@@ -8,6 +8,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -87,11 +88,10 @@ class Building:
     @property
     def report(self) -> Path | None:
         """The report about the case that is shown; None where there is none."""
-        case = self._case()
-        if case is None or self._outcome is None:
+        if self._outcome is None:
             return None
         try:
-            return report_beside(case, self._outcome.sha256)
+            return report_beside(self._outcome.case, self._outcome.sha256)
         except BundleError:
             return None
 
@@ -236,10 +236,10 @@ class Building:
         self._outcome = outcome_of(case, self._outcome.places_mm if self._outcome else None)
 
     def _whole_case(self) -> Path:
-        case = self._case()
-        if case is None or self._outcome is None:
+        """The case that is shown: also after the recipe was given another name."""
+        if self._outcome is None or not self._outcome.case.is_dir():
             raise UsageError("there is no case yet: build it", place="case")
-        return case
+        return self._outcome.case
 
     def _case(self) -> Path | None:
         """Where the recipe's case goes, or where it went when it could last be read; None where it never could."""
@@ -248,10 +248,11 @@ class Building:
             self._last_case = self._out / f"{name}.case"
         return self._last_case
 
-    def _look_at_case(self) -> None:
-        """What was built before, by whom ever."""
+    def _look_at_case(self, case: Path | None = None) -> None:
+        """What was built before, by whom ever; of the recipe's own case unless another is named."""
         self._recipe_sha256 = self._recipe_hash()
-        case = self._case()
+        own = self._case()
+        case = own if case is None else case
         if case is None:
             return
         noted = self._noted(case)
@@ -289,21 +290,20 @@ class Building:
         except HeartcaseError:
             return None
 
-    def _case_stamp(self) -> tuple[int, int] | None:
-        """When the case was replaced last, and its size there; None where there is none."""
-        if self._last_case is None:
-            return None
-        try:
-            found = (self._last_case / MANIFEST_NAME).stat()
-        except OSError:
-            return None
-        return found.st_mtime_ns, found.st_size
+    def _case_stamps(self) -> dict[Path, tuple[int, int] | None]:
+        """Where the recipe's case goes, and the case that is shown -> when it was replaced last, and its size there."""
+        cases = (self._last_case, None if self._outcome is None else self._outcome.case)
+        stamps: dict[Path, tuple[int, int] | None] = {}
+        for case in cases:
+            if case is not None:
+                stamps[case] = None
+                with contextlib.suppress(OSError):
+                    found = (case / MANIFEST_NAME).stat()
+                    stamps[case] = found.st_mtime_ns, found.st_size
+        return stamps
 
-    def _is_case_new(self) -> bool:
-        """Whether the case is another one than that whose figures are shown."""
-        case = self._case()
-        if case is None:
-            return False
+    def _is_case_new(self, case: Path) -> bool:
+        """Whether a case is another one than that whose figures are shown."""
         try:
             return self._outcome is None or bundle_sha256(case) != self._outcome.sha256
         except HeartcaseError:
@@ -311,7 +311,7 @@ class Building:
 
     async def _watch(self) -> None:
         """Tell when the case is older than the recipe, or no longer so, and of a case that was built elsewhere."""
-        seen, seen_case = None, self._case_stamp()
+        seen, seen_cases = None, self._case_stamps()
         while True:
             with contextlib.suppress(OSError):
                 found = self._recipe.stat()
@@ -321,13 +321,20 @@ class Building:
                     sha256 = await self._run(self._recipe_hash)
                     if sha256 != self._recipe_sha256:
                         self._recipe_sha256 = sha256
+                        await self._run(self._case)
                         self._tell()
-            case_stamp = self._case_stamp()
-            if case_stamp != seen_case and self._process is None:
-                seen_case = case_stamp
-                if await self._run(self._is_case_new):
+            stamps = self._case_stamps()
+            if stamps != seen_cases and self._process is None:
+                # what lay at the place of a new name before is another heart's, or nothing is shown yet
+                is_shown = self._outcome is not None
+                changed = [
+                    case for case, one in stamps.items() if seen_cases.get(case, one if is_shown else None) != one
+                ]
+                seen_cases = stamps
+                is_new = bool(changed) and await self._run(partial(self._is_case_new, changed[0]))
+                if is_new:
                     self._built_from = None
-                    await self._run(self._look_at_case)
+                    await self._run(partial(self._look_at_case, changed[0]))
                     self._tell()
             await asyncio.sleep(_LOOK_EVERY_S)
 
@@ -338,8 +345,9 @@ class Building:
             left = None if seconds is None or after is None else {"seconds": seconds, "after": after}
             expected = {"elapsed": time.monotonic() - start, "left": left}
         age = "unknown"
-        if self._built_from is not None:
-            age = "current" if self._built_from == self._recipe_sha256 else "older"
+        is_renamed = self._outcome is not None and self._last_case not in (None, self._outcome.case)
+        if is_renamed or self._built_from is not None:
+            age = "current" if self._built_from == self._recipe_sha256 and not is_renamed else "older"
         return text_message(
             "build",
             is_running=self._process is not None,

@@ -33,6 +33,8 @@ class Outcome:
     """All that is shown, as plain data."""
     places_mm: Mapping[str, Sequence[Point]] = field(default_factory=dict)
     """Places that the build told, by the text of their warning."""
+    case: Path = Path()
+    """The case's folder."""
 
 
 def outcome_of(case: Path, places_mm: Mapping[str, Sequence[Point]] | None = None) -> Outcome | None:
@@ -51,7 +53,7 @@ def outcome_of(case: Path, places_mm: Mapping[str, Sequence[Point]] | None = Non
     try:
         sha256 = bundle_sha256(case)
         manifest = open_bundle(case).manifest
-        return Outcome(sha256, _figures(case, manifest, sha256, places_mm or {}), places_mm or {})
+        return Outcome(sha256, _figures(case, manifest, sha256, places_mm or {}), places_mm or {}, case)
     except (HeartcaseError, AttributeError, KeyError, TypeError, ValueError):
         # also one whose figures are not what builds write
         return None

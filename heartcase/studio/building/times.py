@@ -31,10 +31,13 @@ class StageTimes:
         self._file = file
 
     def learn(self, voxel_count: int, seconds: Mapping[str, float]) -> None:
-        """Remember how long stages took, s, by their names, on a scan of so many voxels."""
+        """Remember how long stages took, s, by their names, on a scan of so many voxels; 0 of one without work."""
         known = self._known()
         for stage, one in seconds.items():
-            known[stage] = [*known.get(stage, []), (voxel_count, round(one, 3))][-_KEPT:]
+            every = [*known.get(stage, []), (voxel_count, round(one, 3))]
+            # builds in which it had nothing to do push none out in which it had
+            kinds = ([time for time in every if time[1] > 0.0], [time for time in every if time[1] <= 0.0])
+            known[stage] = [time for kind in kinds for time in kind[-_KEPT:]]
         # no build is worse for it
         with contextlib.suppress(OSError):
             self._file.parent.mkdir(parents=True, exist_ok=True)
@@ -61,7 +64,8 @@ class StageTimes:
             ]
             if not alike:
                 return None
-            total += statistics.median(alike)
+            # without work only as long as none is known that it had
+            total += statistics.median([time for time in alike if time > 0.0] or alike)
         return total
 
     def _known(self) -> dict[str, list[tuple[int, float]]]:

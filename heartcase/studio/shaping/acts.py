@@ -165,7 +165,7 @@ def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
         return changed_text(head, (("name",), name)), "name"
     if first == "labels" and len(rest) == 2 and rest[1] == "wall_thickness_mm":
         return _set_wall(head, recipe, rest[0], request.value)
-    if first == "materials" and rest[0] == "labels" and len(rest) == 2:
+    if first == "materials" and len(rest) == 2 and rest[0] == "labels":
         return _set_material(head, recipe, rest[1], request.value)
     if first not in SETTINGS or rest not in ([key] for key in SETTINGS[first][1]):
         raise UsageError("this is not set on this page: change it in the recipe's file", place=".".join(request.place))
@@ -173,7 +173,7 @@ def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
         raise UsageError("must be one value", place=".".join(request.place))
     if first == "walls":
         head = _without_automatic(head)
-    if rest == ["material"]:
+    if rest == ["material"] and request.value is not None:
         # numbers that are stated would count instead of the material's
         stated = tomllib.loads(head).get("materials", {})
         for key in ("youngs_modulus_kpa", "density_kg_m3"):

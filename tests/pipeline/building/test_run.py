@@ -17,6 +17,7 @@ import SimpleITK
 
 from heartcase.pipeline.building.run import build_case
 from heartcase.pipeline.stages.table import stage_names
+from heartcase.pipeline.warnings import warnings_of
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import open_bundle
@@ -52,6 +53,18 @@ def built(scan_directory, tmp_path_factory):
     folder = tmp_path_factory.mktemp("built")
     path = make_recipe(scan_directory, folder)
     return path, folder / "out", build(path, folder / "out")
+
+
+def test_what_is_said_of_a_place_that_is_not_there_is_a_warning_of_the_case(scan_directory, tmp_path):
+    path = make_recipe(scan_directory, tmp_path)
+    other = '[[labels]]\nvalue = 3\nname = "other"\nrole = "blood"\n'
+    said = '[[walls.contact]]\nbetween = ["cavity", "other"]\nposition_mm = [14, 0, 0]\nradius_mm = 3\nis_open = true\n'
+    path.write_text(path.read_text() + other + said)
+    manifest = build(path, tmp_path / "out").manifest
+    found = [
+        one for one in warnings_of(manifest) if one.text.startswith("walls.contact[1]: the recipe says that cavity")
+    ]
+    assert [one.grade for one in found] == ["anatomy"]
 
 
 def test_a_scan_and_markers_become_a_sound_case(built):

@@ -1,4 +1,5 @@
 import itertools
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from heartcase.pipeline.data import Markers, Scan
 from heartcase.pipeline.markers.load_markers import rasterise_strokes
 from heartcase.pipeline.markers.session import SegmentationSession
+from heartcase.pipeline.watershed import forest as forest_module
 from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.schemas.errors import MarkerError, UsageError
 from heartcase.schemas.geometry import Geometry
@@ -189,3 +191,31 @@ def test_a_stroke_goes_on_with_points_only():
     assert session.markers().labels[4, 5, 9] == 5
     session.undo()
     assert (session.markers().labels == 255).all()
+
+
+def test_what_is_put_off_counts_as_changed_and_boxes_are_taken_as_numpy_takes_them():
+    def painted(*, puts_off):
+        session = SegmentationSession.of_scan(scan(1), TABLE)
+        if puts_off:
+            session.put_off()
+        session.paint(Stroke(label="aorta", points_mm=(world((1, 1, 1)),)))
+        session.take_changed()
+        session.paint(Stroke(label="background", points_mm=(world((11, 9, 7)),)))
+        return session
+
+    boxes = [np.s_[:, 3:5, :], np.s_[2:900, -3:, 4:], np.s_[5:2, :, :], np.s_[::2, :, 8:2:-1], np.s_[20:30, :, :]]
+    with patch.multiple(forest_module, MOST_AT_ONCE=0, MOST_LISTED=10**9):
+        plain = painted(puts_off=False)
+        for box in boxes:
+            session = painted(puts_off=True)
+            assert session.put_off_tiles.any()
+            np.testing.assert_array_equal(session.labels_of_box(box), plain.labels[box])
+        before = SegmentationSession.of_scan(scan(1), TABLE)
+        before.paint(Stroke(label="aorta", points_mm=(world((1, 1, 1)),)))
+        session = painted(puts_off=True)
+        outside = np.ones(SHAPE, bool)
+        changed = session.take_changed()
+        assert changed is not None
+        outside[changed] = False
+        np.testing.assert_array_equal(session.labels[outside], before.labels[outside])
+        assert (session.labels != before.labels).any()

@@ -11,7 +11,14 @@ import pytest
 from PIL import Image
 
 from heartcase.pipeline.data import GridMap
-from heartcase.pipeline.report.build_report import ReportData, ReportInputs, SeptumRow, build_report, render_report
+from heartcase.pipeline.report.build_report import (
+    STATE_WORDS,
+    ReportData,
+    ReportInputs,
+    SeptumRow,
+    build_report,
+    render_report,
+)
 from heartcase.pipeline.report.hand_work import hand_work_facts
 from heartcase.pipeline.report.plain_words import cardiac_phase_words, figure_facts, setting_lines
 from heartcase.pipeline.warnings import CaseWarning, anatomy, grouped, note
@@ -188,7 +195,7 @@ def test_what_a_warning_lists_is_a_list_on_the_page_in_its_order():
 def test_grown_walls_are_told_apart_from_openings_that_are_stated():
     septum = SeptumRow("left atrium and right atrium", 120.0, 1.2, 1, "(1.0, 2.0, 3.0) mm")
     text = re.sub(r"\s+", " ", Page(render_report(ReportData(case_name="x", septa=[septum]))).text)
-    assert "Where the recipe states an opening by a landmark or by strokes, none was grown" in text
+    assert "Where the recipe states an opening by a landmark, by strokes or by an open place" in text
     assert "it is closed in the model" not in text
     assert "stated openings included" not in text
     assert "not seen" not in Page(render_report(ReportData(case_name="x"))).text
@@ -252,7 +259,7 @@ def test_hand_work_times_and_provenance_are_stated(html):
     assert "Distance of the surface from the grid median 0.25, largest 1.5 cells" in text
 
 
-def page_of(heart, *, scan=None, surface=None, recipe=RECIPE) -> str:
+def page_of(heart, *, scan=None, surface=None, recipe=RECIPE, septa=()) -> str:
     """The page of a case about which little is known."""
     return build_report(
         ReportInputs(
@@ -267,8 +274,32 @@ def page_of(heart, *, scan=None, surface=None, recipe=RECIPE) -> str:
             timings_s={},
             stages=[],
             warnings=[],
+            septa=septa,
         )
     )
+
+
+def test_places_of_grown_walls_are_told_as_they_were_judged(heart):
+    place = {"center_mm": [1.0, 2.0, 3.0], "radius_mm": 2.0}
+    figure = {
+        "between": ["left atrium", "right atrium"],
+        "area_mm2": 99.0,
+        "thickness_mm": 1.2,
+        "patches": 12,
+        "center_mm": [1.0, 2.0, 3.0],
+        "places": [
+            place | {"area_mm2": mm2, "state": state}
+            for mm2, state in zip((40.0, 30.0, 20.0), STATE_WORDS, strict=True)
+        ],
+        "others": place | {"area_mm2": 9.0},
+    }
+    text = re.sub(r"\s+", " ", Page(page_of(heart, septa=[figure])).text)
+    table = text.partition("Walls that were grown and not seen")[2].partition("What to think of it")[2]
+    rows = [row.strip() for row in table.split("left atrium and right atrium")[1:5]]
+    assert [row.split()[0] for row in rows] == ["40.0", "30.0", "20.0", "9.0"]
+    for row, words in zip(rows, (*STATE_WORDS.values(), STATE_WORDS["grown"]), strict=True):
+        assert words in row
+    assert rows[3].split()[2] == "9"
 
 
 def test_same_input_gives_the_same_page(heart):

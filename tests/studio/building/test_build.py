@@ -116,6 +116,22 @@ def test_the_page_is_told_when_the_case_is_older_than_the_recipe(copy):
         assert {ran[name] for name in ("filter", "segment", "walls", "grid", "surface", "map", "report")} == {"reused"}
 
 
+def test_a_case_of_a_recipe_that_was_renamed_is_the_one_that_is_shown_opened_and_approved(copy):
+    case, other = copy.parent / "out" / "ball.case", copy.parent / "out" / "other.case"
+    shutil.copytree(case, other)
+    with studio(copy) as browser, building(browser) as told:
+        sha256 = told.first["case"]["sha256"]
+        at_first = told.ask(do="operate")["address"]
+        for name in ("other", "nowhere"):
+            copy.write_text(re.sub(r'^name = ".*"$', f'name = "{name}"', copy.read_text(), count=1, flags=re.MULTILINE))
+            state = until(told, lambda state: state["age"] == "older")
+            assert state["case"]["name"] == "ball"
+            assert told.ask(do="operate")["address"] == at_first
+        told.ask(do="approve", role="consultant cardiologist", sha256=sha256, has_looked=True)
+    assert approval_state(case).state == "approved"
+    assert approval_state(other).state == "draft"
+
+
 def test_a_case_of_unknown_recipe_is_told_as_that(copy):
     shutil.rmtree(copy.parent / "out" / ".heartcase-cache")
     with studio(copy) as browser, building(browser) as told:

@@ -35,3 +35,13 @@ def test_one_build_that_took_long_does_not_decide(tmp_path):
     for text in ("", "[]", '{"surface": [[0, 1]]}', '{"surface": 3}', '{"surface": [["a", "b"]]}'):
         (tmp_path / "times.json").write_text(text)
         assert times.expected(1000, ["surface"]) is None
+
+
+def test_builds_in_which_a_stage_had_nothing_to_do_do_not_count_once_it_had(tmp_path):
+    times = StageTimes(tmp_path / "times.json")
+    times.learn(1000, {"edit": 0.0})
+    assert times.expected(1000, ["edit"]) == 0.0
+    times.learn(1000, {"edit": 4.0})
+    for _ in range(20):
+        times.learn(1000, {"edit": 0.0})
+    assert times.expected(1000, ["edit"]) == pytest.approx(4.0)

@@ -132,7 +132,7 @@ export class BuildTab {
 
   /** @param {State} state */
   #age({ case: made, age }) {
-    return made ? say(age === "current" ? "build_current" : age === "older" ? "build_older" : "build_unknown") : say("build_none");
+    return made ? say(age === "current" ? "build_current" : age === "older" ? "build_older" : "build_unknown", { name: made.name }) : say("build_none");
   }
 
   /** What the last build did, in a line. @param {State} state */

@@ -279,7 +279,7 @@ export const words = {
   build_none: "Zu diesem Rezept gibt es noch keinen Fall.",
   build_running: "Der Fall wird gebaut; weitermalen ist möglich.",
   build_current: "Der Fall entspricht dem Rezept, wie es jetzt ist.",
-  build_older: "Das Rezept wurde seither geändert: Der Fall ist älter.",
+  build_older: "Das Rezept wurde seither geändert: Der Fall {name} ist älter.",
   build_unknown: "Es gibt einen Fall; ob er dem Rezept entspricht, wie es jetzt ist, ist nicht bekannt: neu bauen.",
   build_failed: "Der Bau ist nicht gelungen:",
   build_cancelled: "Abgebrochen. Was berechnet war, bleibt; der vorige Fall ist heil.",

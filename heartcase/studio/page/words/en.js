@@ -278,7 +278,7 @@ export const words = {
   build_none: "There is no case of this recipe yet.",
   build_running: "The case is being built; you may go on painting.",
   build_current: "The case is of this recipe as it is now.",
-  build_older: "The recipe was changed since: the case is older than it.",
+  build_older: "The recipe was changed since: the case {name} is older than it.",
   build_unknown: "There is a case, and it is not known whether it is of this recipe as it is now: build again.",
   build_failed: "It could not be built:",
   build_cancelled: "Cancelled. What was computed is kept; the case that was there before is whole.",

@@ -4,6 +4,9 @@
 export const warnings = {
   "grown-septum": "Wo sich zwei Umrisse berühren, die im Herzen nicht verbunden sind, wurden Wände ergänzt, die niemand gesehen hat: {listed}. Ist dort eine echte Öffnung, geben Sie sie an",
   "grown-septum-confirmed": "Die ergänzte Wand zwischen {one} und {other}, {area#} mm² bei {place} mm, ist Wand, wie das Rezept sagt",
+  "contact-not-open": "Das Rezept sagt, dass {one} und {other} bei {place} mm zueinander offen sind, aber das Modell hat dort keine Öffnung: Sehen Sie nach, ob sich die Umrisse dort noch berühren und ob ein anderer Eintrag sagt, dass dort Wand ist; geben Sie die Öffnung dann neu an oder nehmen Sie den Eintrag aus dem Rezept",
+  "contact-no-wall": "Das Rezept sagt, dass zwischen {one} und {other} bei {place} mm Wand ist, aber dort wurde keine Wand ergänzt: Sehen Sie nach, was jetzt dort ist, und nehmen Sie den Eintrag aus dem Rezept",
+  "contact-normal": "{one} und {other} sind in jedem Herzen zueinander offen, was das Rezept von der Stelle bei {place} mm sagt, hat also keine Wirkung: Nehmen Sie den Eintrag aus dem Rezept oder lassen Sie eine Wand zwischen den beiden ergänzen",
   "opening-unexpected": "{one} und {other} sind zueinander offen, auf {area#} mm²[ an {patches#} Stellen, die größte] bei {place} mm: Malen Sie die Wand dazwischen (ein Strich Hintergrund oder Muskel) oder den dritten Hohlraum, dessen Blut sie bekommen haben; oder lassen Sie eine Wand ergänzen; oder geben Sie die Öffnung an, wenn der Patient sie hat",
   "no-contrast": "Das Bild ist überall gleich hell, die Umrisse zeigen nur, welche Markierung am nächsten liegt: Prüfen Sie, ob es das richtige Bild ist",
   "no-background": "Nichts ist als Hintergrund markiert, also galt alles neben dem Herzen als Herz: Malen Sie ringsum etwas an, das nicht Herz ist",
