@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.manifest import manifest_bytes
-from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
+from heartcase.schemas.errors import HeartcaseError, Problem, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.beside.device_hand import DeviceHand
 from heartcase.simulator.haptics.servo import HapticServo
@@ -234,15 +235,28 @@ class Stage:
         ------
         UsageError
             There is no such cut, or it has no line on the tissue.
+        HeartcaseError
+            No hand could close, as where it is held open already: none is led.
         """
         live = self.live
         cuts = live.newest.cuts
         if number >= len(cuts):
             raise UsageError("there is no such incision: cut first", place="incision")
-        hands = self.incisions.hands(cuts[number])
-        live.do(*(close for close, _, _ in hands))
-        for _, led, speed_mm_s in hands:
-            live.lead(led, speed_mm_s)
+        hands = self.incisions.hands(cuts[number], number)
+        closing = [live.asked(close) for close, _, _ in hands]
+        _, late = wait(closing, _KEEP_S)
+        if late:
+            for one in late:
+                one.cancel()
+            raise UsageError("the session does not answer: begin anew", place="incision")
+        refused = [problem for one in closing for problem in _refused(one)]
+        if all(one.exception() is not None for one in closing):
+            raise UsageError(refused)
+        for problem in refused:
+            live.tell(str(problem))
+        for (_, led, speed_mm_s), closed in zip(hands, closing, strict=True):
+            if closed.exception() is None:
+                live.lead(led, speed_mm_s)
 
     def attach(self, name: str, centre_mm: Float64) -> None:
         """Let a haptic device lead a hand in the session.
@@ -397,6 +411,14 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
         # A build may have put another case there meanwhile.
         if _manifest_sha256(path) == sha256:
             return Stage(case, out, heard, normal_map, coarser=coarser, sha256=sha256, axes=axes)
+
+
+def _refused(closed: Future[None]) -> tuple[Problem, ...]:
+    """Why a command was refused; nothing where it was done."""
+    error = closed.exception()
+    if error is not None and not isinstance(error, HeartcaseError):
+        raise error
+    return () if error is None else error.problems
 
 
 def _manifest_sha256(path: Path) -> str | None:

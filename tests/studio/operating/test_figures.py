@@ -10,10 +10,13 @@ import pytest
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.simulator.beside.figures_worker import figures_of
 from heartcase.simulator.incisions.figures import IncisionFigures
+from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import told_figures
 from tests.hollow_case import hollow_case
 from tests.simulator.live.scenes import until
 from tests.studio.operating.performing import operator, theatre
+
+FIRST_HANDS = {"lid 1 one lip 1", "lid 1 one lip 2", "lid 1 other lip 1", "lid 1 other lip 2"}
 
 
 @pytest.fixture(scope="module")
@@ -63,13 +66,52 @@ def test_a_planned_incision_is_cut_and_held_open_and_its_figures_follow(hollow):
         )
         assert told["defects"][0]["figures"]["gap_mm"] > 5.0
         assert told["defects"][0]["figures"]["rim_seen"] > closed["found"]["defects"][0]["figures"]["rim_seen"]
-        assert set(told["hand_force_n"]) == {"one lip 1", "one lip 2", "other lip 1", "other lip 2"}
+        assert set(told["hand_force_n"]) == FIRST_HANDS
         # who looks at something else ends the process
         process = stage.figures._worker._process
         page.done("figures", shown=False)
         assert not process.is_alive()
         page.done("begin")
         page.until(lambda frame: frame["act_count"] == 0)
+
+
+def test_a_second_incision_has_hands_of_its_own_and_one_that_is_held_stays(hollow):
+    browser, opened = hollow
+    with operator(browser, opened) as page:
+        stage = opened.places["operating"]._stage
+        page.until(lambda frame: frame["step"] > 0)
+        page.done("cut_planned", incision="lid")
+        page.until(lambda frame: frame["act_count"] == 1)
+        page.done("hold_open", incision=0)
+        page.until(lambda frame: len(frame["instruments"]) == 4)
+
+        def offsets():
+            return {one.name: one.offset_mm.tolist() for one in stage.live.newest.held}
+
+        wanted = {led.name: list(led.offset_mm) for _, led, _ in stage.incisions.hands(stage.live.newest.cuts[0], 0)}
+        until(lambda: offsets() == wanted)
+        # held already: it is refused, and nothing is led
+        assert page.ask("hold_open", incision=0)["kind"] == "refused"
+        cut = stage.incisions.cut("lid")
+        beside = np.array(cut.poses_mm) + [0.0, -9.0, 0.0]
+        page.done("command", command={"kind": "cut", "name": "lid", "poses_mm": beside.tolist(), "at_rest": True})
+        page.until(lambda frame: frame["act_count"] == 6)
+        page.done("hold_open", incision=1)
+        page.until(lambda frame: len(frame["instruments"]) == 8)
+        for _, led, _ in stage.incisions.hands(stage.live.newest.cuts[1], 1):
+            wanted[led.name] = list(led.offset_mm)
+        until(lambda: offsets() == wanted)
+        assert len(wanted) == 8
+        page.done("begin")
+        page.until(lambda frame: frame["act_count"] == 0)
+
+
+def test_names_of_hands_are_names_of_the_format(hollow):
+    _, opened = hollow
+    incisions = Incisions(opened.places["operating"]._stage.case)
+    cut = incisions.cut("lid").model_copy(update={"name": "l" * 64})
+    names = {close.name for number in range(2) for close, _, _ in incisions.hands(cut, 11 * number)}
+    assert len(names) == 8
 
 
 def test_a_page_that_goes_ends_what_was_worked_out_for_it(hollow):
