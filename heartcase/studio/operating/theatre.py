@@ -157,6 +157,7 @@ class Theatre:
             if self._watching is None or self._watching.done():
                 self._watching = asyncio.create_task(self._watch())
             return stage, False
+        self._forget_stage()
         for page in self._viewers:
             self._greet(page, stage)
         self._tell(text_message("message", text=_BUILT_ANEW))
@@ -391,6 +392,7 @@ class Theatre:
                 return self._stage is None
             self._tell(text_message("failed", problems=self._problems(error)))
             self._stage = None
+            self._forget_stage()
             self._viewers.clear()
             await self._run(stage.close)
             return True
@@ -419,8 +421,14 @@ class Theatre:
                 self._work.cancel()
             # an ended task would hold on to what it worked on
             self._stage = self._work = self._resting = None
+            self._forget_stage()
             await self._run(self._plans.close)
             await self._run(stage.close)
+
+    def _forget_stage(self) -> None:
+        """Nothing holds on to a stage that is left."""
+        self._tours.forget_stage()
+        self._slices.forget_stage()
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""

@@ -93,7 +93,7 @@ def test_a_second_incision_has_hands_of_its_own_and_one_that_is_held_stays(hollo
         # held already: it is refused, and nothing is led
         assert page.ask("hold_open", incision=0)["kind"] == "refused"
         cut = stage.incisions.cut("lid")
-        beside = np.array(cut.poses_mm) + [0.0, -9.0, 0.0]
+        beside = np.array(cut.poses_mm) - np.array([0.0, 9.0, 0.0])
         page.done("command", command={"kind": "cut", "name": "lid", "poses_mm": beside.tolist(), "at_rest": True})
         page.until(lambda frame: frame["act_count"] == 6)
         page.done("hold_open", incision=1)
