@@ -306,20 +306,23 @@ class Stage:
 
     def coarser(self, live: LiveFrame) -> tuple[CoarseLevel, ...]:
         """The coarser levels of a moment; none where they are not known yet, or there are none."""
-        if self._coarser is None:
+        # another thread may leave it meanwhile
+        worker = self._coarser
+        if worker is None:
             return ()
-        known = self._coarser.newest
+        known = worker.newest
         if known is not None and known[0] is live.surface:
             return known[1]
-        self._coarser.ask(live)
+        worker.ask(live)
         return ()
 
     def stretch(self, live: LiveFrame) -> Any:
         """Stretch around each node as bytes, of a moment of late; None where it is not known of this lattice."""
-        if self._strain is None:
+        worker = self._strain
+        if worker is None:
             return None
-        known = self._strain.newest
-        self._strain.ask(live.frame)
+        known = worker.newest
+        worker.ask(live.frame)
         return None if known is None or known[0] is not live.frame.model else stretch_bytes(known[1], STRETCH_SHOWN)
 
     def greeting(self) -> dict[str, Any]:

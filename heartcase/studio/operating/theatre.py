@@ -357,16 +357,27 @@ class Theatre:
             for page, viewer in tuple(self._viewers.items()):
                 try:
                     messages = await asyncio.get_running_loop().run_in_executor(None, viewer.messages, newest)
-                except Exception as error:
-                    if await self._fail(error, stage):
-                        return
-                    break
-                # Meanwhile it may have been shown another stage.
-                if self._viewers.get(page) is viewer:
+                    # Meanwhile it may have been shown another stage.
+                    if self._viewers.get(page) is not viewer:
+                        continue
                     for message in messages:
                         page.send(message)
                     if (figures := viewer.figures(newest)) is not None:
                         page.send(figures)
+                except Exception as error:
+                    if live.error is not None:
+                        # told, to all pages, with the next look
+                        self._news.set()
+                        break
+                    self._let_go(page, viewer, error)
+
+    def _let_go(self, page: Page, viewer: Viewer, error: BaseException) -> None:
+        """What one page is to be shown cannot be told: it is let go, and the session goes on for all others."""
+        if self._viewers.get(page) is viewer:
+            page.send(text_message("failed", problems=self._problems(error)))
+            task = asyncio.create_task(self.leave(page))
+            self._letting.add(task)
+            task.add_done_callback(self._letting.discard)
 
     async def _watch(self) -> None:
         """Tell pages once that the case they look at is no longer the one that lies there."""

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from heartcase.pipeline.bundle.write_bundle import write_bundle
-from heartcase.simulator.beside.figures_worker import figures_of
+from heartcase.simulator.beside.figures_worker import LiveFigures, figures_of
 from heartcase.simulator.incisions.figures import IncisionFigures
 from heartcase.studio.operating.incisions import Incisions
-from heartcase.studio.operating.live_figures import told_figures
+from heartcase.studio.operating.live_figures import ShownFigures, told_figures
 from tests.hollow_case import hollow_case
-from tests.simulator.live.scenes import until
+from tests.simulator.live.scenes import load, until
 from tests.studio.operating.performing import operator, theatre
 
 FIRST_HANDS = {"lid 1 one lip 1", "lid 1 one lip 2", "lid 1 other lip 1", "lid 1 other lip 2"}
@@ -108,7 +109,7 @@ def test_a_second_incision_has_hands_of_its_own_and_one_that_is_held_stays(hollo
 
 def test_names_of_hands_are_names_of_the_format(hollow):
     _, opened = hollow
-    incisions = Incisions(opened.places["operating"]._stage.case)
+    incisions = Incisions(load(opened.path))
     cut = incisions.cut("lid").model_copy(update={"name": "l" * 64})
     names = {close.name for number in range(2) for close, _, _ in incisions.hands(cut, 11 * number)}
     assert len(names) == 8
@@ -136,3 +137,29 @@ def test_what_is_no_number_is_told_as_unknown():
     assert (found["gap_mm"], found["length_mm"], found["rim_seen"]) == (None, 3.0, None)
     assert (found["nearest_vessel_mm"], found["worst_stitch"]) == (2.0, None)
     json.dumps(found, allow_nan=False)
+    found = told_figures(IncisionFigures("one", nearest_mm={"vessel": np.nan, "nerve": 1.0}))
+    assert found["nearest_mm"] == {"vessel": None, "nerve": 1.0}
+    json.dumps(found, allow_nan=False)
+
+
+def test_forces_that_are_no_numbers_are_told_as_unknown():
+    shown = ShownFigures(SimpleNamespace(), (), lambda: None)
+    shown._worker = SimpleNamespace(
+        newest=LiveFigures(
+            step=1,
+            time_s=0.1,
+            incision=0,
+            name="lid",
+            defects={"hole": IncisionFigures("hole", nearest_mm={"vessel": np.inf})},
+            rim_found={"hole": np.nan},
+            hand_force_n={"hand": np.nan, "other": 2.0},
+            inverted_cell_count=0,
+            has_reach=False,
+            problems=(),
+        ),
+        error=None,
+        is_reaching=False,
+    )
+    found = json.loads(shown.message(SimpleNamespace(cuts=(SimpleNamespace(name="lid"),))))["found"]
+    assert found["hand_force_n"] == {"hand": None, "other": 2.0}
+    assert (found["defects"][0]["rim_found"], found["defects"][0]["figures"]["nearest_mm"]) == (None, {"vessel": None})

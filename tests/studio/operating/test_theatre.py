@@ -276,6 +276,27 @@ def test_a_session_that_broke_is_told_and_the_next_page_begins_anew(operated_cas
             assert page.frames[-1]["recording"] is None
 
 
+@pytest.mark.parametrize("name", ["messages", "figures"])
+def test_a_page_whose_picture_cannot_be_told_is_let_go_alone(operated, name):
+    browser, opened = operated
+    with operator(browser, opened) as page, operator(browser, opened) as other:
+        page.until(lambda frame: frame["step"] > 0)
+        theatre = opened.places["operating"]
+        stage, viewer = theatre._stage, next(iter(theatre._viewers.values()))
+
+        def fail(newest):
+            raise ZeroDivisionError("a fault")
+
+        setattr(viewer, name, fail)
+        assert "ZeroDivisionError" in json.dumps(page.hear("failed")["problems"])
+        other.until(lambda frame, step=stage.live.newest.frame.step: frame["step"] > step)
+        assert theatre._stage is stage
+        assert viewer not in theatre._viewers.values()
+        assert page.ask("undo")["kind"] == "refused"
+        other.done("begin")
+        other.until(lambda frame: frame["act_count"] == 0)
+
+
 def shows(page, size):
     """Take messages until the page shows a block of this size in a new frame; whether it knows where its nodes are."""
     page.frames.clear()
