@@ -86,6 +86,14 @@ class ComparedPlans:
             process.join(_END_S)
         if thread is not None:
             thread.join()
+        with self._lock:
+            self._is_working = False
+
+    @property
+    def is_comparing(self) -> bool:
+        """Whether recordings are compared, or were."""
+        with self._lock:
+            return bool(self._names)
 
     def message(self) -> str:
         """What pages are told."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from heartcase.simulator.live.strain_worker import StrainWorker
 from heartcase.simulator.live.tools import TOOLS
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import SLEEP_MM, Simulation
 from heartcase.studio.operating.devices import device_of, known_devices
@@ -111,6 +112,35 @@ class Stage:
         self.show_coarser(False)
         self.figures.show(False)
 
+    def end(self) -> str | None:
+        """End the session for good, and write what was done into a recording where no recording has it yet.
+
+        Returns
+        -------
+        str or None
+            The recording's name; None where there was nothing to be kept.
+
+        Raises
+        ------
+        RecordingError
+            It cannot be kept.
+        """
+        self.close()
+        live = self.live
+        if not live.has_ended:
+            raise RecordingError("the session does not end: what was done cannot be written", place="recording")
+        if live.is_kept:
+            return None
+        for path in self._free_paths():
+            try:
+                with Recorder(live.session, path, case=self._case.manifest):
+                    return path.name
+            except RecordingError:
+                # a session beside this one may have taken the name meanwhile
+                if not path.exists():
+                    raise
+        raise RecordingError("what was done cannot be written", place="recording")
+
     def is_of(self, path: Path) -> bool:
         """Whether the case that lies there now is the one that was loaded; it may have been built anew."""
         return self._sha256 is not None and _manifest_sha256(path) == self._sha256
@@ -174,13 +204,9 @@ class Stage:
 
     def record(self) -> None:
         """Record what is done, from the session's start on, under the next free name."""
-        name = re.sub(r"[^A-Za-z0-9_-]+", "_", self._case.manifest.name)
-        there = self._found()
-        for number in range(1, _RECORDINGS_MAX):
-            path = self._out / f"{name}-{number}.recording"
-            if path.name not in there and not path.exists():
-                self.live.record(path)
-                return
+        for path in self._free_paths():
+            self.live.record(path)
+            return
 
     def keep(self) -> str | None:
         """Write what was done into a recording where no recording has it yet, and wait for it.
@@ -358,6 +384,15 @@ class Stage:
         if self.normal_map is None:
             return None
         return packed({"kind": "normal_map"}, {"png": np.frombuffer(self.normal_map.png, np.uint8)})
+
+    def _free_paths(self) -> Iterator[Path]:
+        """Where a recording may be put, the first one first."""
+        name = re.sub(r"[^A-Za-z0-9_-]+", "_", self._case.manifest.name)
+        there = self._found()
+        for number in range(1, _RECORDINGS_MAX):
+            path = self._out / f"{name}-{number}.recording"
+            if path.name not in there and not path.exists():
+                yield path
 
     def _found(self) -> list[str]:
         try:
