@@ -16,6 +16,7 @@ from heartcase.schemas.bundle.manifest import manifest_bytes
 from heartcase.schemas.errors import HeartcaseError, Problem, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.beside.device_hand import DeviceHand
+from heartcase.simulator.case_simulation import simulation_of_case
 from heartcase.simulator.haptics.servo import HapticServo
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
@@ -26,7 +27,6 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
-from heartcase.simulator.simulation import SLEEP_MM, Simulation
 from heartcase.studio.operating.devices import device_of, known_devices
 from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
@@ -37,10 +37,8 @@ from heartcase.studio.operating.scene.normal_map import NormalMap, load_normal_m
 from heartcase.studio.operating.scene.packing import packed, stretch_bytes
 from heartcase.studio.operating.scene.surroundings import cannulae
 
-__all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
+__all__ = ["Stage", "open_stage"]
 
-DAMPING_PER_S = 30.0
-"""Damping of all movement, 1/s."""
 _SLOWEST_FRAME_S = 1.0 / 30.0
 """How long a frame takes at most where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
@@ -401,11 +399,7 @@ class Stage:
             return []
 
     def _new_session(self) -> OperatingSession:
-        case = self._case
-        simulation = Simulation(
-            case.model, surface=case.surface, tissue=case.tissue, damping_per_s=DAMPING_PER_S, sleep_mm=SLEEP_MM
-        )
-        return OperatingSession(simulation)
+        return OperatingSession(simulation_of_case(self._case))
 
     def _started(self, session: OperatingSession, *, plays: bool = False) -> Live:
         session.simulation.prepare()
