@@ -16,8 +16,6 @@ from heartcase.schemas.touring.tour import Tour
 __all__ = ["tour_findings"]
 
 _NAME = re.compile(r"^name\s*=\s*[\"']([^\"'\n]*)[\"']", re.M)
-_DAMPING_PER_S = 30.0
-"""As where the studio shows a tour, 1/s."""
 
 
 def tour_findings(path: Path, case: Path | None, *, run: bool) -> tuple[tuple[Problem, ...], tuple[CaseWarning, ...]]:
@@ -74,9 +72,9 @@ def _recipe_beside(path: Path, tour: Tour) -> Path | None:
 
 def _done_on(tour: Tour, case: Path) -> tuple[tuple[Problem, ...], tuple[CaseWarning, ...]]:
     """What comes of all that a tour does on its case."""
+    from heartcase.simulator.case_simulation import simulation_of_case
     from heartcase.simulator.load import load_case
     from heartcase.simulator.session.operating_session import OperatingSession
-    from heartcase.simulator.simulation import Simulation
     from heartcase.simulator.touring.case_places import CasePlaces
     from heartcase.simulator.touring.running import run_timed
     from heartcase.simulator.touring.staging import staged_scenes, timed_commands
@@ -88,8 +86,7 @@ def _done_on(tour: Tour, case: Path) -> tuple[tuple[Problem, ...], tuple[CaseWar
         staged_scenes(tour, places)
     except HeartcaseError as error:
         return error.problems, ()
-    simulation = Simulation(loaded.model, surface=loaded.surface, tissue=loaded.tissue, damping_per_s=_DAMPING_PER_S)
-    session = OperatingSession(simulation)
+    session = OperatingSession(simulation_of_case(loaded))
     for number, step in enumerate(tour.steps):
         where = f"line {step.line} (step {number + 1})"
         try:

@@ -104,6 +104,7 @@ class DeviceHand:
         self._commands: _Commands | None = None
         self.error: SimulationError | None = None
         self._is_detached = threading.Event()
+        self._has_servo_ended = False
         live.take_by(self._take)
 
     @property
@@ -121,14 +122,17 @@ class DeviceHand:
         return ShownDevice(felt.pose.position_mm.copy(), felt.force_n.copy(), felt.part, holds)
 
     def detach(self) -> None:
-        """Take the device away: what it led lets go softly."""
-        if self._is_detached.is_set():
-            return
-        self._is_detached.set()
-        self._live.take_by(None)
-        self._live.let_go_softly(self._name)
-        self._live.settle(_DETACH_S)
-        self._servo.__exit__()
+        """Take the device away: what it led lets go softly, and its loop ends, also where it was lost."""
+        if not self._is_detached.is_set():
+            self._is_detached.set()
+            self._live.take_by(None)
+            self._live.let_go_softly(self._name)
+            # a session that broke does nothing any more
+            if self._live.error is None:
+                self._live.settle(_DETACH_S)
+        if not self._has_servo_ended:
+            self._has_servo_ended = True
+            self._servo.__exit__()
 
     def _take(self, session: OperatingSession, steps: int, motions: Callable[[float], list[Done]]) -> Frame:
         """Take the steps of a frame, in parts; called by the session's thread."""

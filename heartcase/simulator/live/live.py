@@ -95,7 +95,8 @@ class Live:
     """Runs a session in a thread of its own.
 
     ``newest`` is the frame to show, and ``take_messages`` gives what a user should read. All methods may be called from
-    any thread; ``close`` ends the thread, and finishes a recording.
+    any thread; ``close`` ends the thread, and finishes a recording. ``has_ended`` says that the thread is done with the
+    session.
 
     Parameters
     ----------
@@ -136,6 +137,7 @@ class Live:
         self._messages: deque[str] = deque()
         self._wake = threading.Condition()
         self._is_closing = False
+        self.has_ended = False
         self._thread: threading.Thread | None = None
         self._recorder: Recorder | None = None
         self._played: Iterator[Frame] | None = None
@@ -328,6 +330,7 @@ class Live:
                 self.session.make_cuts(wait=True)
         finally:
             self._finish_recording()
+            self.has_ended = True
 
     def _do_asked(self) -> bool:
         """Do what was asked for; whether there was anything."""

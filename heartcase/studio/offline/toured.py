@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from heartcase.schemas.errors import HeartcaseError, Problem
+from heartcase.simulator.case_simulation import simulation_of_case
 from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.load import Case
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
-from heartcase.simulator.simulation import SLEEP_MM, Simulation
 from heartcase.simulator.touring.case_places import CasePlaces
 from heartcase.simulator.touring.running import run_timed
 from heartcase.simulator.touring.staging import timed_commands
@@ -21,8 +21,6 @@ __all__ = ["Toured"]
 
 _EVERY_S = 0.04
 """Simulated time from picture to picture, s: played slower than it is, so that it can be followed."""
-_DAMPING_PER_S = 30.0
-"""As where the studio's server shows a tour, 1/s."""
 
 
 @dataclass
@@ -51,10 +49,7 @@ class Toured:
         if not any(step.acts for step in self.tour.tour.steps):
             return
         case = self.case
-        simulation = Simulation(
-            case.model, surface=case.surface, tissue=case.tissue, damping_per_s=_DAMPING_PER_S, sleep_mm=SLEEP_MM
-        )
-        session, places = OperatingSession(simulation), CasePlaces(case)
+        session, places = OperatingSession(simulation_of_case(case)), CasePlaces(case)
         yield moment_of(session)
         count = 1
         for number, step in enumerate(self.tour.tour.steps):

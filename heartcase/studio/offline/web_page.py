@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.arrays import UInt8
+from heartcase.simulator.case_simulation import DAMPING_PER_S
 from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.live.shapes import CUT_FACES, Structures
 from heartcase.simulator.load import Case
@@ -57,8 +58,6 @@ LINKED_POLICY = (
 """What a page of a site may load: files beside it. A page of a folder has no origin, so that 'self' is not enough."""
 PAGE = Path(__file__).parents[1] / "page"
 _STYLES = ("style.css", "operating/operate.css", "section/section.css", "offline/offline.css", "touring/touring.css")
-_DAMPING_PER_S = 30.0
-"""Damping of all movement that the page steps, 1/s; as where the studio's server does."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +226,7 @@ def _facts(case: Case, shown: Shown, structures: Structures, frames_per_second: 
 
 
 def _springs(case: Case) -> bytes:
-    arrays = spring_arrays(case.model, damping_per_s=_DAMPING_PER_S)
+    arrays = spring_arrays(case.model, damping_per_s=DAMPING_PER_S)
     found = asdict(arrays)
     facts = found.pop("facts")
     return packed({"kind": "springs", "facts": facts}, found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import RecordingError, UsageError
 from heartcase.studio.operating.requests import (
     Act,
@@ -13,6 +14,7 @@ from heartcase.studio.operating.requests import (
     Hide,
     HoldOpen,
     LetGo,
+    Look,
     Planned,
     Play,
     Point,
@@ -26,7 +28,7 @@ from heartcase.studio.operating.requests import (
 from heartcase.studio.operating.stage import Stage
 from heartcase.studio.operating.viewer import Viewer
 
-__all__ = ["OwnAct", "act"]
+__all__ = ["OwnAct", "act", "met"]
 
 OwnAct = (
     Point
@@ -116,6 +118,20 @@ async def act(
             await run(lambda: stage.rename(request.name, request.to))
             return {"recordings": await run(stage.recordings)}
     return {}
+
+
+def met(viewer: Viewer, look: Look | None) -> Float64:
+    """Where a page's look meets the heart, LPS mm, shape (3,).
+
+    Raises
+    ------
+    UsageError
+        It meets nothing.
+    """
+    place = None if look is None else viewer.met_mm(look)
+    if place is None:
+        raise UsageError("the heart is not in the middle of the picture: turn it there first", place="device")
+    return place
 
 
 def _point(request: Point, viewer: Viewer) -> bool:

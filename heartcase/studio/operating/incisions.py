@@ -21,6 +21,8 @@ HANDS = LipHands(hands_per_lip=2)
 """What holds the lips: as in the plans of the sample cases."""
 OPEN_S = float(PlannedIncision.model_fields["open_s"].default)
 """Simulated time in which the lips are led apart, s."""
+_NAME_LENGTH_MAX = 64
+"""Characters of an instrument's name at most."""
 
 
 class Incisions:
@@ -64,8 +66,15 @@ class Incisions:
         poses = blade_poses(cut, line, landmarks, cell_mm=self._case.model.cell_mm)
         return Cut(name=name, poses_mm=poses, at_rest=True)
 
-    def hands(self, cut: Cut) -> list[tuple[CloseGrab, LeadGrab, float]]:
+    def hands(self, cut: Cut, number: int) -> list[tuple[CloseGrab, LeadGrab, float]]:
         """Hands at both lips of a cut: how each closes, where it is led, and how fast, mm/s.
+
+        Parameters
+        ----------
+        cut
+            The cut.
+        number
+            Its place among those that are done, from 0: cuts may share a name, and hands may not.
 
         Raises
         ------
@@ -80,10 +89,16 @@ class Incisions:
         for hand in lip_hands(HANDS, incision.line, self.whole.rest_mm, cell_mm=cell_mm, open_s=OPEN_S):
             assert hand.position_mm is not None
             offset = hand.path[-1].offset_mm
-            close = CloseGrab(name=hand.name, center_mm=hand.position_mm, radius_mm=hand.radius_mm)
+            name = _hand_name(cut.name, number, hand.name)
+            close = CloseGrab(name=name, center_mm=hand.position_mm, radius_mm=hand.radius_mm)
             speed = float(np.linalg.norm(offset)) / OPEN_S
-            made.append((close, LeadGrab(name=hand.name, offset_mm=offset), speed))
+            made.append((close, LeadGrab(name=name, offset_mm=offset), speed))
         return made
+
+
+def _hand_name(cut: str, number: int, hand: str) -> str:
+    own = f" {number + 1} {hand}"
+    return f"{cut[: _NAME_LENGTH_MAX - len(own)]}{own}"
 
 
 def _planned(name: str) -> PlannedCut:

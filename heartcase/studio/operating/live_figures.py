@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from math import isfinite
 from typing import Any
@@ -14,7 +14,7 @@ from heartcase.simulator.live.live import LiveFrame
 from heartcase.studio.messages import text_message
 from heartcase.studio.operating.incisions import Incisions
 
-__all__ = ["ShownFigures", "told_figures"]
+__all__ = ["ShownFigures", "finite", "told_figures"]
 
 
 class ShownFigures:
@@ -46,13 +46,16 @@ class ShownFigures:
 
     def ask(self, live: LiveFrame) -> None:
         """Work out this moment next."""
-        if self._worker is not None:
-            self._worker.ask(live, self.incision)
+        # another thread may leave it meanwhile
+        worker = self._worker
+        if worker is not None:
+            worker.ask(live, self.incision)
 
     def ask_for_reach(self) -> None:
         """Work out the reach of the tip, too, when time stands."""
-        if self._worker is not None:
-            self._worker.ask_for_reach()
+        worker = self._worker
+        if worker is not None:
+            worker.ask_for_reach()
 
     def message(self, live: LiveFrame) -> str:
         """What a page is told now.
@@ -69,7 +72,7 @@ class ShownFigures:
             "figures",
             cuts=[cut.name for cut in live.cuts],
             is_reaching=worker is not None and worker.is_reaching,
-            found=None if newest is None else _told(newest),
+            found=None if newest is None else finite(_told(newest)),
             problems=[] if error is None else [asdict(problem) for problem in error.problems],
         )
 
@@ -95,4 +98,14 @@ def told_figures(figures: IncisionFigures) -> dict[str, Any]:
     """Figures as a page is told them: what is not known, or no finite number, is None."""
     facts = asdict(figures) | {"nearest_vessel_mm": figures.nearest_vessel_mm, "worst_stitch": figures.worst_stitch}
     del facts["stitches"]
-    return {name: None if isinstance(one, float) and not isfinite(one) else one for name, one in facts.items()}
+    found: dict[str, Any] = finite(facts)
+    return found
+
+
+def finite(value: Any) -> Any:
+    """Plain data, however nested, in which each number that is not finite is None: JSON has no word for it."""
+    if isinstance(value, Mapping):
+        return {name: finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    return None if isinstance(value, float) and not isfinite(value) else value

@@ -21,7 +21,7 @@ from heartcase.simulator.beside.recorded_figures import figures_of_recording
 from heartcase.simulator.incisions.figures import ranked
 from heartcase.simulator.load import load_case
 from heartcase.studio.messages import text_message
-from heartcase.studio.operating.live_figures import told_figures
+from heartcase.studio.operating.live_figures import finite, told_figures
 
 __all__ = ["NEAREST_LEAST_MM", "ComparedPlans"]
 
@@ -86,6 +86,14 @@ class ComparedPlans:
             process.join(_END_S)
         if thread is not None:
             thread.join()
+        with self._lock:
+            self._is_working = False
+
+    @property
+    def is_comparing(self) -> bool:
+        """Whether recordings are compared, or were."""
+        with self._lock:
+            return bool(self._names)
 
     def message(self) -> str:
         """What pages are told."""
@@ -115,7 +123,7 @@ class ComparedPlans:
             for name, one in found.items()
         }
         facts = {"names": names, "is_working": is_working, "about": about, "defects": defects, "problems": problems}
-        return text_message("plans", **facts)
+        return text_message("plans", **finite(facts))
 
     def _run(self, line: Connection, wanted: list[str]) -> None:
         with contextlib.suppress(EOFError, OSError):

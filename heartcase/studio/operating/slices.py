@@ -53,9 +53,16 @@ class SliceServing:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
+    def forget_stage(self) -> None:
+        """The stage is left: neither it nor its scan stays in memory, once what was asked for before is sent."""
+        self._thread.submit(self._forget)
+
     def close(self) -> None:
         """Read no more."""
         self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _forget(self) -> None:
+        self._scan = None
 
     async def _send(self, page: Page, request: Slice, stage: Stage, recipe: Path | None) -> None:
         try:

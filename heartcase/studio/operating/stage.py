@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,10 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.manifest import manifest_bytes
-from heartcase.schemas.errors import HeartcaseError, RecordingError, UsageError
+from heartcase.schemas.errors import HeartcaseError, Problem, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.beside.device_hand import DeviceHand
+from heartcase.simulator.case_simulation import simulation_of_case
 from heartcase.simulator.haptics.servo import HapticServo
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
@@ -23,8 +25,8 @@ from heartcase.simulator.live.strain_worker import StrainWorker
 from heartcase.simulator.live.tools import TOOLS
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
-from heartcase.simulator.simulation import SLEEP_MM, Simulation
 from heartcase.studio.operating.devices import device_of, known_devices
 from heartcase.studio.operating.incisions import Incisions
 from heartcase.studio.operating.live_figures import ShownFigures
@@ -35,10 +37,8 @@ from heartcase.studio.operating.scene.normal_map import NormalMap, load_normal_m
 from heartcase.studio.operating.scene.packing import packed, stretch_bytes
 from heartcase.studio.operating.scene.surroundings import cannulae
 
-__all__ = ["DAMPING_PER_S", "Stage", "open_stage"]
+__all__ = ["Stage", "open_stage"]
 
-DAMPING_PER_S = 30.0
-"""Damping of all movement, 1/s."""
 _SLOWEST_FRAME_S = 1.0 / 30.0
 """How long a frame takes at most where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
@@ -110,6 +110,35 @@ class Stage:
         self.show_coarser(False)
         self.figures.show(False)
 
+    def end(self) -> str | None:
+        """End the session for good, and write what was done into a recording where no recording has it yet.
+
+        Returns
+        -------
+        str or None
+            The recording's name; None where there was nothing to be kept.
+
+        Raises
+        ------
+        RecordingError
+            It cannot be kept.
+        """
+        self.close()
+        live = self.live
+        if not live.has_ended:
+            raise RecordingError("the session does not end: what was done cannot be written", place="recording")
+        if live.is_kept:
+            return None
+        for path in self._free_paths():
+            try:
+                with Recorder(live.session, path, case=self._case.manifest):
+                    return path.name
+            except RecordingError:
+                # a session beside this one may have taken the name meanwhile
+                if not path.exists():
+                    raise
+        raise RecordingError("what was done cannot be written", place="recording")
+
     def is_of(self, path: Path) -> bool:
         """Whether the case that lies there now is the one that was loaded; it may have been built anew."""
         return self._sha256 is not None and _manifest_sha256(path) == self._sha256
@@ -173,13 +202,9 @@ class Stage:
 
     def record(self) -> None:
         """Record what is done, from the session's start on, under the next free name."""
-        name = re.sub(r"[^A-Za-z0-9_-]+", "_", self._case.manifest.name)
-        there = self._found()
-        for number in range(1, _RECORDINGS_MAX):
-            path = self._out / f"{name}-{number}.recording"
-            if path.name not in there and not path.exists():
-                self.live.record(path)
-                return
+        for path in self._free_paths():
+            self.live.record(path)
+            return
 
     def keep(self) -> str | None:
         """Write what was done into a recording where no recording has it yet, and wait for it.
@@ -234,15 +259,28 @@ class Stage:
         ------
         UsageError
             There is no such cut, or it has no line on the tissue.
+        HeartcaseError
+            No hand could close, as where it is held open already: none is led.
         """
         live = self.live
         cuts = live.newest.cuts
         if number >= len(cuts):
             raise UsageError("there is no such incision: cut first", place="incision")
-        hands = self.incisions.hands(cuts[number])
-        live.do(*(close for close, _, _ in hands))
-        for _, led, speed_mm_s in hands:
-            live.lead(led, speed_mm_s)
+        hands = self.incisions.hands(cuts[number], number)
+        closing = [live.asked(close) for close, _, _ in hands]
+        _, late = wait(closing, _KEEP_S)
+        if late:
+            for one in late:
+                one.cancel()
+            raise UsageError("the session does not answer: begin anew", place="incision")
+        refused = [problem for one in closing for problem in _refused(one)]
+        if all(one.exception() is not None for one in closing):
+            raise UsageError(refused)
+        for problem in refused:
+            live.tell(str(problem))
+        for (_, led, speed_mm_s), closed in zip(hands, closing, strict=True):
+            if closed.exception() is None:
+                live.lead(led, speed_mm_s)
 
     def attach(self, name: str, centre_mm: Float64) -> None:
         """Let a haptic device lead a hand in the session.
@@ -292,20 +330,23 @@ class Stage:
 
     def coarser(self, live: LiveFrame) -> tuple[CoarseLevel, ...]:
         """The coarser levels of a moment; none where they are not known yet, or there are none."""
-        if self._coarser is None:
+        # another thread may leave it meanwhile
+        worker = self._coarser
+        if worker is None:
             return ()
-        known = self._coarser.newest
+        known = worker.newest
         if known is not None and known[0] is live.surface:
             return known[1]
-        self._coarser.ask(live)
+        worker.ask(live)
         return ()
 
     def stretch(self, live: LiveFrame) -> Any:
         """Stretch around each node as bytes, of a moment of late; None where it is not known of this lattice."""
-        if self._strain is None:
+        worker = self._strain
+        if worker is None:
             return None
-        known = self._strain.newest
-        self._strain.ask(live.frame)
+        known = worker.newest
+        worker.ask(live.frame)
         return None if known is None or known[0] is not live.frame.model else stretch_bytes(known[1], STRETCH_SHOWN)
 
     def greeting(self) -> dict[str, Any]:
@@ -342,6 +383,15 @@ class Stage:
             return None
         return packed({"kind": "normal_map"}, {"png": np.frombuffer(self.normal_map.png, np.uint8)})
 
+    def _free_paths(self) -> Iterator[Path]:
+        """Where a recording may be put, the first one first."""
+        name = re.sub(r"[^A-Za-z0-9_-]+", "_", self._case.manifest.name)
+        there = self._found()
+        for number in range(1, _RECORDINGS_MAX):
+            path = self._out / f"{name}-{number}.recording"
+            if path.name not in there and not path.exists():
+                yield path
+
     def _found(self) -> list[str]:
         try:
             return [one.name for one in self._out.iterdir() if one.suffix == ".recording" and not one.is_symlink()]
@@ -349,11 +399,7 @@ class Stage:
             return []
 
     def _new_session(self) -> OperatingSession:
-        case = self._case
-        simulation = Simulation(
-            case.model, surface=case.surface, tissue=case.tissue, damping_per_s=DAMPING_PER_S, sleep_mm=SLEEP_MM
-        )
-        return OperatingSession(simulation)
+        return OperatingSession(simulation_of_case(self._case))
 
     def _started(self, session: OperatingSession, *, plays: bool = False) -> Live:
         session.simulation.prepare()
@@ -397,6 +443,14 @@ def open_stage(path: Path, *, out: Path, heard: Callable[[], None]) -> Stage:
         # A build may have put another case there meanwhile.
         if _manifest_sha256(path) == sha256:
             return Stage(case, out, heard, normal_map, coarser=coarser, sha256=sha256, axes=axes)
+
+
+def _refused(closed: Future[None]) -> tuple[Problem, ...]:
+    """Why a command was refused; nothing where it was done."""
+    error = closed.exception()
+    if error is not None and not isinstance(error, HeartcaseError):
+        raise error
+    return () if error is None else error.problems
 
 
 def _manifest_sha256(path: Path) -> str | None:

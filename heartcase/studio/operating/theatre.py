@@ -10,13 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import HeartcaseError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.idle import FREE_AFTER_S, Idle
-from heartcase.studio.messages import problems_of, text_message, told
-from heartcase.studio.operating.acts import OwnAct, act
+from heartcase.studio.messages import text_message
+from heartcase.studio.operating.acts import OwnAct, act, met
+from heartcase.studio.operating.ending import ended, problems_at
 from heartcase.studio.operating.plans import ComparedPlans
 from heartcase.studio.operating.requests import (
     Begin,
@@ -24,7 +24,6 @@ from heartcase.studio.operating.requests import (
     Compare,
     Device,
     Figures,
-    Look,
     Replay,
     Seen,
     Slice,
@@ -157,12 +156,14 @@ class Theatre:
             if self._watching is None or self._watching.done():
                 self._watching = asyncio.create_task(self._watch())
             return stage, False
+        self._forget_stage()
         for page in self._viewers:
             self._greet(page, stage)
         self._tell(text_message("message", text=_BUILT_ANEW))
         self._news.set()
         old = before.live
-        await self._run(before.close)
+        if (words := await self._ended(before)) is not None:
+            self._tell_or_keep(words)
         self._tell_all_of(old)
         return stage, True
 
@@ -176,6 +177,8 @@ class Theatre:
         page.send(text_message("opened", **stage.greeting(), **more))
         if (picture := stage.picture_message()) is not None:
             page.send(picture)
+        if self._plans.is_comparing:
+            page.send(self._plans.message())
         self._viewers[page] = Viewer(stage)
 
     async def leave(self, page: Page) -> None:
@@ -231,7 +234,7 @@ class Theatre:
         page.send(text_message("done", id=request.id, **own, **answer))
 
     async def close(self) -> None:
-        """End the session: what was begun is made, and what is recorded is finished."""
+        """End the session: what was begun is made, and what was done is kept in a recording."""
         self._waiting.clear()
         self._idle.close()
         for page in tuple(self._viewers):
@@ -244,7 +247,7 @@ class Theatre:
                     task.cancel()
             stage, self._stage = self._stage, None
             if stage is not None:
-                await self._run(stage.close)
+                await self._ended(stage)
         await self._run(self._plans.close)
         self._thread.shutdown()
         self._slices.close()
@@ -301,7 +304,7 @@ class Theatre:
                 if request.name is None:
                     await self._run(stage.detach)
                 else:
-                    name, place = request.name, await self._run(lambda: _met(viewer, request.pointer))
+                    name, place = request.name, await self._run(lambda: met(viewer, request.pointer))
                     await self._run(lambda: stage.attach(name, place))
                 self._device_page = page if request.name is not None else None
             case _:
@@ -356,16 +359,27 @@ class Theatre:
             for page, viewer in tuple(self._viewers.items()):
                 try:
                     messages = await asyncio.get_running_loop().run_in_executor(None, viewer.messages, newest)
-                except Exception as error:
-                    if await self._fail(error, stage):
-                        return
-                    break
-                # Meanwhile it may have been shown another stage.
-                if self._viewers.get(page) is viewer:
+                    # Meanwhile it may have been shown another stage.
+                    if self._viewers.get(page) is not viewer:
+                        continue
                     for message in messages:
                         page.send(message)
                     if (figures := viewer.figures(newest)) is not None:
                         page.send(figures)
+                except Exception as error:
+                    if live.error is not None:
+                        # told, to all pages, with the next look
+                        self._news.set()
+                        break
+                    self._let_go(page, viewer, error)
+
+    def _let_go(self, page: Page, viewer: Viewer, error: BaseException) -> None:
+        """What one page is to be shown cannot be told: it is let go, and the session goes on for all others."""
+        if self._viewers.get(page) is viewer:
+            page.send(text_message("failed", problems=self._problems(error)))
+            task = asyncio.create_task(self.leave(page))
+            self._letting.add(task)
+            task.add_done_callback(self._letting.discard)
 
     async def _watch(self) -> None:
         """Tell pages once that the case they look at is no longer the one that lies there."""
@@ -382,18 +396,35 @@ class Theatre:
                 self._tell(text_message("message", text=_OLDER))
 
     async def _fail(self, error: BaseException, stage: Stage) -> bool:
-        """The session cannot go on: it is told, what is recorded is finished, and who comes next begins anew.
+        """The session cannot go on: it is told, what was done is kept, and who comes next begins anew.
 
         Where another stage took its place meanwhile nothing is done; whether something was.
         """
         async with self._turn:
             if self._stage is not stage:
                 return self._stage is None
-            self._tell(text_message("failed", problems=self._problems(error)))
             self._stage = None
+            self._forget_stage()
+            words = await self._ended(stage)
+            problems = self._problems(error)
+            if words is not None:
+                problems.append({"place": "recording", "message": words})
+                if not self._viewers:
+                    self._freed = words
+            self._tell(text_message("failed", problems=problems))
             self._viewers.clear()
-            await self._run(stage.close)
             return True
+
+    async def _ended(self, stage: Stage) -> str | None:
+        """End a stage's session; what is to be read of what was done in it, None where a recording had it."""
+        return await self._run(lambda: ended(stage, self._problems))
+
+    def _tell_or_keep(self, words: str) -> None:
+        """Tell all pages; where there is none, the next that comes."""
+        if self._viewers:
+            self._tell(text_message("message", text=words))
+        else:
+            self._freed = words
 
     def _rest_if_alone(self, stage: Stage) -> None:
         if not self._viewers and self._resting is None:
@@ -419,8 +450,14 @@ class Theatre:
                 self._work.cancel()
             # an ended task would hold on to what it worked on
             self._stage = self._work = self._resting = None
+            self._forget_stage()
             await self._run(self._plans.close)
             await self._run(stage.close)
+
+    def _forget_stage(self) -> None:
+        """Nothing holds on to a stage that is left."""
+        self._tours.forget_stage()
+        self._slices.forget_stage()
 
     async def _rest(self, stage: Stage) -> None:
         """Nobody looks: when instruments have let go, time stands until somebody does."""
@@ -453,24 +490,4 @@ class Theatre:
 
     def _problems(self, error: BaseException) -> list[dict[str, str]]:
         """What a page is told of an error; not where on this machine the case lies."""
-        found = problems_of(told(error))
-        folders = {str(folder) for one in (self._case, self._case.resolve()) for folder in (one, one.parent)}
-        for problem in found:
-            for folder in sorted(folders - {".", "/"}, key=len, reverse=True):
-                problem["place"] = problem["place"].replace(folder, "case")
-                problem["message"] = problem["message"].replace(folder, "case")
-        return found
-
-
-def _met(viewer: Viewer, look: Look | None) -> Float64:
-    """Where a page's look meets the heart.
-
-    Raises
-    ------
-    UsageError
-        It meets nothing.
-    """
-    place = None if look is None else viewer.met_mm(look)
-    if place is None:
-        raise UsageError("the heart is not in the middle of the picture: turn it there first", place="device")
-    return place
+        return problems_at(self._case, error)

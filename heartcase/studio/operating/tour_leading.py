@@ -46,6 +46,7 @@ class TourLeading:
         self._guide: Guide | None = None
         self._task: asyncio.Task[None] | None = None
         self._led: Page | None = None
+        self._tell_left: Callable[[], None] = _nothing
 
     def listed(self, stage: Stage) -> dict[str, Any]:
         """The tours of a stage's case, read anew; what is wrong with others."""
@@ -92,6 +93,7 @@ class TourLeading:
                 tell("failed", problems=self._problems_of(error))
 
         self._task, self._led = asyncio.create_task(lead()), page
+        self._tell_left = lambda: tell("left")
 
     def forget(self, page: Page) -> None:
         """A page is gone: nobody looks at what it asked for."""
@@ -99,8 +101,20 @@ class TourLeading:
             self.stop()
             self._led = None
 
+    def forget_stage(self) -> None:
+        """The stage is left: what is under way ends, and nothing of its case stays in memory."""
+        self.stop()
+        self._stage = self._found = self._guide = self._led = None
+
     def stop(self) -> None:
-        """Leave what is under way."""
-        if self._task is not None:
-            self._task.cancel()
-            self._task = None
+        """Leave what is under way; the page that asked for it is told."""
+        task, tell_left = self._task, self._tell_left
+        self._task, self._tell_left = None, _nothing
+        if task is not None and not task.done():
+            task.cancel()
+            # at once: what is asked for next has more to tell of the same step
+            tell_left()
+
+
+def _nothing() -> None:
+    """Nothing is under way."""

@@ -155,7 +155,8 @@ class Viewer:
             more["stretch"] = stretch
             self._stretch = stretch
         self._frame += 1
-        device = None if self._stage.device is None else self._stage.device.shown
+        hand = self._stage.device
+        device = None if hand is None else hand.shown
         header = {"device": None if device is None else _told_device(device)}
         header |= {"frame": self._frame, "topology": self._topology} | described(newest)
         found.append(frame_message(header, rounded, self._sent, more))
@@ -174,7 +175,8 @@ class Viewer:
     def _is_still(self, newest: LiveFrame, rounded: Rounded) -> bool:
         """Whether nothing but the time is new."""
         shown, sent = self._shown, self._sent
-        if self._stage.device is not None:
+        device = self._stage.device
+        if device is not None and device.shown is not None:
             return False
         if shown is None or sent is None or newest.mode != "running" or newest.frame.instruments:
             return False

@@ -92,6 +92,9 @@ def test_a_loop_that_was_lost_is_told_and_its_hand_lets_go_softly(case):
     assert any("haptic loop has ended" in words for words in live.take_messages())
     step = live.newest.frame.step
     until(lambda: live.newest.frame.step > step)
+    assert not servo._told.closed
+    hand.detach()
+    assert servo._told.closed
     hand.detach()
     live.close()
     assert live.error is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from heartcase.simulator.haptics.device import open_device
@@ -41,6 +43,27 @@ def test_a_page_starts_a_device_that_pulls_and_it_goes_with_the_page(operated):
     until(lambda: not process.is_alive() and theatre._stage.device is None)
     until(lambda: not theatre._stage.live.newest.frame.instruments)
     with operator(browser, opened) as page:
+        page.done("begin")
+        page.until(lambda frame: frame["act_count"] == 0)
+
+
+def test_a_heart_that_stands_still_after_a_device_was_lost_costs_next_to_nothing(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        page.until(lambda frame: frame["step"] > 0)
+        page.done("device", name=MADE_UP, pointer=LOOK)
+        page.until(lambda frame: frame["device"] is not None)
+        hand = opened.places["operating"]._stage.device
+        hand._servo._process.kill()
+        page.until(lambda frame: frame["device"] is None and not frame["instruments"])
+        assert opened.places["operating"]._stage.device is hand
+        still_s = page.frames[-1]["time_s"] + 1.5
+        page.until(lambda frame: frame["time_s"] > still_s)
+        first, began = len(page.frames), time.monotonic()
+        page.until(lambda frame: frame["time_s"] > page.frames[first - 1]["time_s"] + 0.5)
+        assert len(page.frames) - first <= 11.0 * (time.monotonic() - began) + 2
+        page.done("device", name=None)
+        assert hand._servo._told.closed
         page.done("begin")
         page.until(lambda frame: frame["act_count"] == 0)
 

@@ -6,11 +6,15 @@ import gc
 import time
 import weakref
 
+import numpy as np
 import pytest
 
 from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.studio import idle
+from heartcase.studio.operating import slices
+from heartcase.studio.operating.scene.scan_slices import ScanSlices
 from tests.factories import block_case
 from tests.simulator.live.scenes import until, write_case
 from tests.studio.operating.performing import operator, theatre
@@ -34,10 +38,14 @@ def pull(page):
     page.until(lambda frame: frame["instruments"] and frame["instruments"][0]["center_mm"][0] > 24.9)
 
 
-def test_what_was_done_is_kept_in_a_recording_that_goes_on(soon, operated_case, tmp_path):
+def test_what_was_done_is_kept_in_a_recording_that_goes_on(soon, operated_case, tmp_path, monkeypatch):
+    scan = ScanSlices(np.zeros((4, 4, 4), np.float32), Geometry(size=(4, 4, 4)))
+    monkeypatch.setattr(slices, "open_scan", lambda case, recipe: scan)
     with theatre(operated_case, tmp_path) as (browser, opened):
         with operator(browser, opened) as page:
             page.until(lambda frame: frame["step"] > 0)
+            page.done("tours")
+            page.done("slice", name="axial", point_mm=[1, 1, 1], right=[1, 0, 0], down=[0, 1, 0])
         # nothing was done: it is freed, and nothing is written
         case = weakref.ref(stage_of(opened)._case.model)
         until(lambda: stage_of(opened) is None)

@@ -95,6 +95,19 @@ def test_recordings_of_scripts_are_compared_as_the_command_compares_plans(record
         page.done("compare", names=names[:2])
         again = newest(page)
         assert again["defects"] == told["defects"]
+        # who comes later is told as well
+        with operator(browser, opened) as other:
+            assert other.hear("plans") == again
+
+
+def test_what_is_left_on_the_way_is_not_told_as_under_way(recorded):
+    path, _ = recorded
+    compared = plans.ComparedPlans(path, path.parent, lambda: None)
+    assert not compared.is_comparing
+    compared.compare(["wide.recording"])
+    compared.close()
+    assert compared.is_comparing
+    assert not json.loads(compared.message())["is_working"]
 
 
 def test_a_recording_is_given_another_name(recorded, tmp_path):

@@ -106,7 +106,7 @@ def test_a_case_that_was_opened_from_its_recipe_shows_its_scan_and_leads_back(tm
         # a scan that became another one is not shown as that of the case
         image = SimpleITK.ReadImage(str(tmp_path / "scan.nii.gz"))
         SimpleITK.WriteImage(image + 1, str(tmp_path / "scan.nii.gz"))
-        opened.places["operating"]._scan = None
+        opened.places["operating"]._slices._scan = None
         with operator(browser, opened) as page:
             answer = page.ask("slice", name="axial", **plane)
             assert "no longer" in json.dumps(answer["problems"])

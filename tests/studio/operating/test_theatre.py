@@ -276,6 +276,60 @@ def test_a_session_that_broke_is_told_and_the_next_page_begins_anew(operated_cas
             assert page.frames[-1]["recording"] is None
 
 
+def kinds_in(path):
+    recording = open_recording(path)
+    assert recording.header.end is not None
+    return [one.command.kind for one in recording.entries]
+
+
+def test_what_was_done_is_kept_where_the_session_broke_and_where_the_server_ends(operated_case, tmp_path):
+    with theatre(operated_case, tmp_path) as (browser, opened):
+        with operator(browser, opened) as page:
+            page.done("take", tool="g")
+            assert page.at("press", TOP)["used"]
+            page.until(lambda frame: frame["act_count"] == 1)
+
+            def fail():
+                raise ZeroDivisionError("a fault")
+
+            live_of(opened)._ask([fail])
+            problems = page.hear("failed")["problems"]
+            assert "ZeroDivisionError" in problems[0]["message"]
+            assert problems[1] == {"place": "recording", "message": "what was done is kept in the recording block-1"}
+        assert "close_grab" in kinds_in(tmp_path / "block-1.recording")
+        with operator(browser, opened) as page:
+            page.until(lambda frame: frame["step"] > 0)
+        # nothing was done in it
+        assert len(list(tmp_path.iterdir())) == 1
+        with operator(browser, opened) as page:
+            page.done("take", tool="g")
+            assert page.at("press", TOP)["used"]
+            page.until(lambda frame: frame["act_count"] == 1)
+    assert "close_grab" in kinds_in(tmp_path / "block-2.recording")
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("name", ["messages", "figures"])
+def test_a_page_whose_picture_cannot_be_told_is_let_go_alone(operated, name):
+    browser, opened = operated
+    with operator(browser, opened) as page, operator(browser, opened) as other:
+        page.until(lambda frame: frame["step"] > 0)
+        theatre = opened.places["operating"]
+        stage, viewer = theatre._stage, next(iter(theatre._viewers.values()))
+
+        def fail(newest):
+            raise ZeroDivisionError("a fault")
+
+        setattr(viewer, name, fail)
+        assert "ZeroDivisionError" in json.dumps(page.hear("failed")["problems"])
+        other.until(lambda frame, step=stage.live.newest.frame.step: frame["step"] > step)
+        assert theatre._stage is stage
+        assert viewer not in theatre._viewers.values()
+        assert page.ask("undo")["kind"] == "refused"
+        other.done("begin")
+        other.until(lambda frame: frame["act_count"] == 0)
+
+
 def shows(page, size):
     """Take messages until the page shows a block of this size in a new frame; whether it knows where its nodes are."""
     page.frames.clear()
@@ -315,6 +369,29 @@ def test_who_opens_a_case_that_was_built_anew_sees_the_new_one_and_so_do_all_oth
             assert page.at("press", TOP)["used"]
         assert live._thread is None
         assert open_recording(tmp_path / "block-1.recording").header.end is not None
+
+
+def test_what_was_done_on_a_case_that_was_built_anew_is_kept(rebuilt, tmp_path):
+    case, build = rebuilt
+    with theatre(case, tmp_path) as (browser, opened):
+        with operator(browser, opened) as page:
+            assert shows(page, (8, 5, 4))
+            page.done("take", tool="g")
+            assert page.at("press", TOP)["used"]
+            page.until(lambda frame: frame["act_count"] == 1)
+            build((6, 5, 4))
+            with operator(browser, opened) as other:
+                assert shows(other, (6, 5, 4))
+            while "kept in the recording block-1" not in page.hear("message")["text"]:
+                pass
+            assert "close_grab" in kinds_in(tmp_path / "block-1.recording")
+            page.done("take", tool="g")
+            assert page.at("press", TOP)["used"]
+            page.until(lambda frame: frame["act_count"] == 1)
+        build((8, 5, 4))
+        # nobody looked: who comes next is told
+        with operator(browser, opened) as page:
+            assert "kept in the recording block-2" in page.hear("message")["text"]
 
 
 def test_to_begin_anew_is_to_begin_with_the_case_as_it_is_now(rebuilt, tmp_path):

@@ -159,6 +159,20 @@ def test_a_step_that_is_left_on_the_way_leaves_no_trace(toured):
         page.until(lambda frame: frame["act_count"] == 0)
 
 
+def test_a_step_that_another_page_ends_is_told_as_left(toured):
+    browser, opened = toured
+    with operator(browser, opened) as page, operator(browser, opened) as other:
+        page.done("tours")
+        page.until(lambda frame: frame["step"] > 0)
+        page.done("pause", paused=True)
+        page.done("tour", tour=0, step=5)
+        while page.hear("tour")["state"] != "working":
+            pass
+        other.done("begin")
+        assert page.hear("tour")["state"] == "left"
+        page.until(lambda frame: frame["act_count"] == 0)
+
+
 def test_a_step_that_cannot_be_done_says_why(toured):
     browser, opened = toured
     path = opened.path.parent / "hollow.tour.md"

@@ -37,7 +37,7 @@ export function rows(all, which) {
 export function vesselRows(all) {
   const names = [...new Set(all.flatMap((one) => Object.keys(one.nearest_mm)))].sort();
   return names.map((name) => /** @type {[string, string[]]} */ ([
-    say("figure_nearest", { name }), all.map((one) => (name in one.nearest_mm ? `${figure(one.nearest_mm[name], 1)} mm` : "–")),
+    say("figure_nearest", { name }), all.map((one) => ((one.nearest_mm[name] ?? null) === null ? "–" : `${figure(one.nearest_mm[name], 1)} mm`)),
   ]));
 }
 

@@ -129,7 +129,7 @@ export class Plans {
       if (names.length > 1 && placed.size > 0) {
         const cells = (/** @type {(one: any) => string} */ of) => names.map((/** @type {string} */ name) => (placed.has(name) ? of(placed.get(name)) : "–"));
         lines.unshift([say("plans_place"), cells((one) => `${one.place}${one.is_too_near ? " !" : ""}`)]);
-        lines.push([say("plans_score"), cells((one) => figure(one.score, 2))]);
+        lines.push([say("plans_score"), cells((one) => (one.score === null ? "–" : figure(one.score, 2)))]);
       }
       parts.push(table(defect, names.map(shown), lines));
     }

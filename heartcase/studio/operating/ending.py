@@ -1,0 +1,50 @@
+"""What pages are told when a session ends, and of errors: never where on this machine the case lies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from heartcase.studio.messages import problems_of, told
+from heartcase.studio.operating.stage import Stage
+
+__all__ = ["ended", "problems_at"]
+
+_KEPT = "what was done is kept in the recording {name}"
+_LOST = "what was done is not kept: {why}"
+
+
+def ended(stage: Stage, problems: Callable[[BaseException], list[dict[str, str]]]) -> str | None:
+    """End a stage's session; what is to be read of what was done in it, None where nothing is to be kept.
+
+    Parameters
+    ----------
+    stage
+        The stage; it is of no more use.
+    problems
+        What a page is told of an error.
+    """
+    try:
+        name = stage.end()
+    except Exception as error:
+        return _LOST.format(why=problems(error)[0]["message"])
+    return None if name is None else _KEPT.format(name=name.removesuffix(".recording"))
+
+
+def problems_at(case: Path, error: BaseException) -> list[dict[str, str]]:
+    """What a page is told of an error; not where on this machine the case lies.
+
+    Parameters
+    ----------
+    case
+        The case's folder.
+    error
+        The error.
+    """
+    found = problems_of(told(error))
+    folders = {str(folder) for one in (case, case.resolve()) for folder in (one, one.parent)}
+    for problem in found:
+        for folder in sorted(folders - {".", "/"}, key=len, reverse=True):
+            problem["place"] = problem["place"].replace(folder, "case")
+            problem["message"] = problem["message"].replace(folder, "case")
+    return found
