@@ -163,7 +163,8 @@ class Theatre:
         self._news.set()
         old = before.live
         if (words := await self._ended(before)) is not None:
-            self._tell_or_keep(words)
+            # a page shows one notice: the later one says both
+            self._tell_or_keep(f"{_BUILT_ANEW}; {words}")
         self._tell_all_of(old)
         return stage, True
 

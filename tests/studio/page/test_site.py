@@ -99,6 +99,7 @@ def test_every_case_opens_from_the_list_and_leads_back(chromium, site, way):
         with opened(chromium, start) as (tab, faults):
             tab.wait_for_selector(INDEX)
             assert tab.locator(".case").count() == 3
+            tab.wait_for_function("[...document.images].every((one) => one.complete)")
             assert tab.evaluate("[...document.images].every((one) => one.naturalWidth > 0)")
             assert "draft: not approved" in tab.inner_text(".case >> nth=0")
             tab.select_option("#language", "de")
