@@ -142,7 +142,7 @@ function run() {
       studio.undoKind.value = message.undo_kind;
       studio.redoKind.value = message.redo_kind;
       studio.saved.value = message.saved;
-      seen.tell(message.rest === true);
+      seen.tell(message.rest === true, true);
       guide.forget();
     } else if (message.kind === "seen") seen.tell(message.rest === true);
     else if (message.kind === "failed") {

@@ -7,6 +7,9 @@
 /** @typedef {import("../shared/studio.js").Studio} Studio */
 /** @typedef {(request: Record<string, unknown> & {do: string}) => Promise<any>} Ask */
 
+/** Pieces of the rest are asked for when no labels changed for so long: a stroke under way goes first [ms]. */
+const PAUSE_MS = 120;
+
 export class Seen {
   /** What the server was told last. */
   #told = "";
@@ -14,6 +17,7 @@ export class Seen {
   #isLooking = false;
   #hasRest = false;
   #isFetching = false;
+  #changedAt = -Infinity;
 
   /**
    * @param {Views} views
@@ -36,9 +40,10 @@ export class Seen {
     });
   }
 
-  /** Whether labels off the planes may still come. @param {boolean} hasRest */
-  tell(hasRest) {
+  /** Whether labels off the planes may still come. @param {boolean} hasRest @param {boolean} [isChange] whether labels may have changed just now */
+  tell(hasRest, isChange = false) {
     this.#hasRest = hasRest;
+    if (isChange) this.#changedAt = performance.now();
     if (hasRest) this.#fetch();
   }
 
@@ -87,6 +92,11 @@ export class Seen {
   }
 
   async #take() {
+    const wait = this.#changedAt + PAUSE_MS - performance.now();
+    if (wait > 0) {
+      setTimeout(() => void this.#take(), wait);
+      return;
+    }
     try {
       const { rest } = await this.ask({ do: "rest" });
       this.#isFetching = false;
