@@ -49,16 +49,22 @@ def paint_basins(changed, first_voxel, voxel_list, direction, offsets, marks, lo
 
 
 @copied
+def _label_of(v, basin, table, direction, offsets, marks, foot_label):
+    """Label of a voxel: that of its basin, or of the mark below it where the basin holds marks."""
+    label = table[basin[v]]
+    if label == MARKED_BASIN:
+        mark = mark_below(v, direction, offsets, marks)
+        label = mark if mark != UNMARKED else foot_label[basin[v]]
+    return label
+
+
+@copied
 def _paint_row(row, begin, basin, table, direction, offsets, marks, foot_label):
     """Label a row; the first and the last place at which that changed something."""
     first = len(row)
     last = -1
     for i in range(len(row)):
-        v = begin + i
-        label = table[basin[v]]
-        if label == MARKED_BASIN:
-            mark = mark_below(v, direction, offsets, marks)
-            label = mark if mark != UNMARKED else foot_label[basin[v]]
+        label = _label_of(begin + i, basin, table, direction, offsets, marks, foot_label)
         if row[i] != label:
             row[i] = label
             first = min(first, i)
@@ -95,11 +101,7 @@ def paint_boxes(low, high, table, direction, basin, offsets, marks, foot_label, 
                 row = labels[k, j]
                 begin = (k * ny + j) * nx
                 for i in range(low[n, 2], high[n, 2]):
-                    v = begin + i
-                    label = table[basin[v]]
-                    if label == MARKED_BASIN:
-                        mark = mark_below(v, direction, offsets, marks)
-                        label = mark if mark != UNMARKED else foot_label[basin[v]]
+                    label = _label_of(begin + i, basin, table, direction, offsets, marks, foot_label)
                     if row[i] != label:
                         row[i] = label
                         # several threads may write the same

@@ -285,6 +285,8 @@ class _Reader:
                 text = text[:4000]
             found.append(Piece(text=text, strong=strong, emphasis=emphasis))
 
+        refused: set[str] = set()
+
         def walk(nodes: list[SyntaxTreeNode], strong: bool, emphasis: bool) -> None:
             for inner in nodes:
                 if inner.type in ("text", "text_special", "code_inline"):
@@ -295,7 +297,9 @@ class _Reader:
                     walk(inner.children, True, emphasis)
                 elif inner.type == "em":
                     walk(inner.children, strong, True)
-                else:
+                elif inner.type not in refused:
+                    # a tag that is opened and closed is told once
+                    refused.add(inner.type)
                     what = {"html_inline": "HTML", "link": "a link", "image": "a picture"}.get(inner.type, "this")
                     more = ": write its address as plain text" if inner.type == "link" else ""
                     self._say(line, f"{what} is not shown in a tour{more}")

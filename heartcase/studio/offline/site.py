@@ -14,7 +14,7 @@ import secrets
 import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +27,7 @@ from heartcase.schemas.base import Name
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
-from heartcase.schemas.errors import Problem, UsageError
+from heartcase.schemas.errors import HeartcaseError, Problem, UsageError
 from heartcase.schemas.files import TEMPORARY_PREFIX, sha256_of_file
 from heartcase.simulator.load import Case, load_case
 from heartcase.studio.offline.bundling import bundled_script
@@ -180,7 +180,15 @@ def _opened(cases: Sequence[SiteCase], out: Path) -> list[OpenBundle]:
         problems.append(Problem("--out", "the folder that it is to lie in is not there: make it, or give another"))
     if problems:
         raise UsageError(problems)
-    return [open_bundle(case.path) for case in cases]
+    opened = []
+    for case in cases:
+        try:
+            opened.append(open_bundle(case.path))
+        except HeartcaseError as error:
+            problems += [replace(each, place=f"CASE {case.name}") for each in error.problems]
+    if problems:
+        raise UsageError(problems)
+    return opened
 
 
 def _reason_to_keep(out: Path) -> str | None:

@@ -35,6 +35,12 @@ def test_a_tour_is_read_as_it_is_written():
     assert isinstance(tour.steps[4].acts[0], PatchOver)
 
 
+def test_a_tag_that_is_opened_and_closed_is_told_once():
+    assert [one for one in problems(SMALL.replace("Words.", "Some <b>words</b>")) if "HTML" in one] == [
+        "line 9 (step 1): HTML is not shown in a tour"
+    ]
+
+
 def test_text_is_pieces_and_nothing_in_it_is_markup():
     tour = parse_tour(SMALL.replace("Words.", "A &lt;b&gt; `<i>` 5 < 6 **a *b* c**\n\n1. one\n2. *two*"))
     first, second = tour.steps[0].blocks

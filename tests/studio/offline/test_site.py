@@ -69,6 +69,15 @@ def test_one_copy_of_the_viewer_and_the_same_bytes_again(cases, tmp_path, capsys
     assert leftovers(tmp_path) == []
 
 
+def test_all_cases_that_cannot_be_opened_are_named_at_once(cases, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    chosen = [SiteCase(path) for path in (tmp_path / "lost.case", cases[0], tmp_path / "notes.txt")]
+    with pytest.raises(UsageError) as refused:
+        write_site(chosen, tmp_path / "site")
+    assert [problem.place for problem in refused.value.problems] == ["CASE lost", "CASE notes.txt"]
+    assert not (tmp_path / "site").exists()
+
+
 def test_what_somebody_else_put_there_stays(cases, tmp_path):
     chosen = [SiteCase(cases[0])]
     (tmp_path / "mine").mkdir()
