@@ -40,7 +40,7 @@ from heartcase.studio.operating.scene.surroundings import cannulae
 __all__ = ["Stage", "open_stage"]
 
 _SLOWEST_FRAME_S = 1.0 / 30.0
-"""How long a frame takes at most where the machine does not keep up, s: then time goes slower, not the pictures."""
+"""How long a frame is to take where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
 _KEEP_S = 60.0
 """Longest time that is waited for a recording to be written, s."""
