@@ -297,7 +297,8 @@ def _note() -> Path | None:
     from heartcase.compiling.kernel import cache_folder
 
     try:
-        return Path(cache_folder(compiled_ahead)) / _NOTE_NAME
+        # a function that is decorated by another package has its cache there
+        return Path(cache_folder(core_count)) / _NOTE_NAME
     except RuntimeError:  # there is no place for a cache
         return None
 

@@ -293,6 +293,12 @@ def test_what_a_killed_process_was_writing_goes_and_what_others_write_stays(tmp_
     assert not list(cache.glob("heartcase-unfinished-*"))
 
 
+def test_the_note_lies_with_what_was_compiled_of_this_installation():
+    """Elsewhere it would tell other installations that their kernels are there."""
+    folder = compile_ahead._note().parent
+    assert "compiling" in (folder.name.rpartition("_")[0], folder.parent.name), folder
+
+
 @pytest.mark.parametrize("starts", [True, False])
 def test_what_a_process_that_died_had_in_hand_counts_as_failed(tmp_path, monkeypatch, starts):
     """So that who waits for all does not wait for ever."""
