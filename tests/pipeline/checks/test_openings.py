@@ -430,7 +430,7 @@ SEPTUM = ("morphologically left atrium", "morphologically right atrium")
     ("size", "spacing", "oblique"),
     [
         ("adult", 2.0, False),
-        ("adult", (1.5, 1.8, 3.0), True),
+        pytest.param("adult", (1.5, 1.8, 3.0), True, marks=pytest.mark.thorough),
         pytest.param("child", 1.2, False, marks=pytest.mark.slow),
     ],
 )
