@@ -143,7 +143,7 @@ def test_sides_are_apart_and_each_is_one(adult_voxels, adult):
     assert found[1] != found[2]
 
 
-@pytest.mark.parametrize("which", ["ventricular", "atrial"])
+@pytest.mark.parametrize("which", thoroughly(["ventricular", "atrial"]))
 def test_a_defect_joins_the_sides(adult, adult_voxels, which):
     defect = adult.ventricular_defect(8.0) if which == "ventricular" else adult.atrial_defect(8.0)
     holed = HeartPhantom.adult(defects=[defect])
@@ -166,7 +166,7 @@ def test_a_defect_joins_the_sides(adult, adult_voxels, which):
     assert holed.truth.tissue_distance(np.array(defect.position_mm)) == pytest.approx(4.0, abs=0.02)
 
 
-@pytest.mark.parametrize("shape", ["elliptic", "slit"])
+@pytest.mark.parametrize("shape", thoroughly(["elliptic", "slit"]))
 def test_a_long_defect_is_a_hole_of_its_shape(adult, shape):
     plain = adult.ventricular_defect(12.0)
     more = {"shape": shape, "width_mm": 5.0, "long_axis": tuple(LONG_AXIS + 0.3 * SEPTUM_AXIS)}

@@ -85,6 +85,7 @@ def test_highest_frequency_of_a_lone_cell(name, ratio):
 
 
 @few_and_many(5, 30)
+@pytest.mark.thorough
 def test_own_highest_frequency_is_bracketed(count):
     hold_for(
         count, own_highest_frequency_is_bracketed, random_models(size_max=(3, 2, 2)), LAWS, st.integers(0, 2**32 - 1)

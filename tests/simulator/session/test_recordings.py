@@ -83,7 +83,7 @@ def recording(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("law", ["springs", "element"])
-@pytest.mark.parametrize(("backend", "sleep_mm"), [("cpu", 0.0), ("cpu", 0.2), ("reference", 0.0)])
+@pytest.mark.parametrize(("backend", "sleep_mm"), thoroughly([("cpu", 0.0), ("cpu", 0.2), ("reference", 0.0)], 1))
 def test_a_replay_comes_to_the_same_bytes(tmp_path, backend, law, sleep_mm):
     path = tmp_path / "one.recording"
     end = recorded(path, backend=backend, law=law, sleep_mm=sleep_mm)
