@@ -15,13 +15,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
 from heartcase.compiling.emitting import array_data, nothing
 from heartcase.simulator.engine.cpu.vector_ir import Lanes, Vector, Window
-from heartcase.simulator.engine.shared.lanes import LANE_COUNT
 from heartcase.simulator.lattice.model import DIRECTIONS
 
 __all__ = [
@@ -49,11 +47,7 @@ Offset = tuple[int, int, int]
 
 def window_number(builder: Any, window_numbers: Any, window: Any, which: int) -> Lanes:
     """One of the WINDOW_NUMBERS of a window."""
-    index = ir.IntType(64)
-    first = builder.mul(window, ir.Constant(index, WINDOW_NUMBERS * LANE_COUNT))
-    return Lanes.loaded(
-        builder, builder.gep(window_numbers, [builder.add(first, ir.Constant(index, which * LANE_COUNT))])
-    )
+    return Lanes.of_window(builder, window_numbers, window, which, WINDOW_NUMBERS)
 
 
 @dataclass(frozen=True)
