@@ -7,18 +7,14 @@ many springs; what a node has less than its group does not pull.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
-from heartcase.compiling.emitting import array_data, counted, nothing, room_with
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Int64
 from heartcase.simulator.engine.cpu.chunks import ChunkArrays
-from heartcase.simulator.engine.cpu.vector_ir import Lanes
+from heartcase.simulator.engine.cpu.springs import EXPLICIT_NUMBERS, pull_of_group
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, EMPTY_START, LANE_COUNT, LaneLayout
 from heartcase.simulator.lattice.explicit_springs import SpringsByNode
 
@@ -26,13 +22,8 @@ __all__ = ["Constants", "ExplicitArrays", "explicit_arrays", "pull_explicitly"]
 
 Constants = tuple[np.float32, ...]
 
-_NUMBERS = 6
-"""Numbers of a spring: offset along x, y, z, rest length, excess, stiffness."""
 _NEAR = 8 * LANE_COUNT
 """Nodes that follow each other in memory, of which those with as many springs share groups."""
-_TINY = 1e-30
-"""Keeps the division defined where two nodes lie on one spot."""
-_INDEX = ir.IntType(64)
 
 
 class ExplicitArrays(NamedTuple):
@@ -67,7 +58,7 @@ def explicit_arrays(layout: LaneLayout, springs: SpringsByNode) -> ExplicitArray
     first = np.concatenate([[0], np.cumsum(longest)]).astype(np.int64)
 
     other = np.repeat(lane, longest, axis=0)
-    numbers = np.zeros((len(other), _NUMBERS, LANE_COUNT), np.float32)
+    numbers = np.zeros((len(other), EXPLICIT_NUMBERS, LANE_COUNT), np.float32)
     # A spring that does not pull, of length one, to the node itself.
     numbers[:, [0, 3]] = 1.0
     of_node = np.repeat(np.arange(len(nodes)), counts[nodes])
@@ -79,56 +70,6 @@ def explicit_arrays(layout: LaneLayout, springs: SpringsByNode) -> ExplicitArray
     numbers[row, 4, column] = springs.excess[spring]
     numbers[row, 5, column] = springs.stiffness[spring]
     return ExplicitArrays(lane, window, first, other, numbers)
-
-
-@intrinsic
-def _pull_of_group(typing_context, now, lane, other, numbers, pull, group, first, end):
-    """Write the pull of the springs from ``first`` to before ``end`` on the nodes of a group, shape (3, 8)."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        arrays = zip(signature.args[:5], arguments, strict=False)
-        u, own_lanes, lanes, n, result = (array_data(context, builder, *pair) for pair in arrays)
-        own = _vectors_at(builder, u, own_lanes, arguments[5])
-        total = [room_with(builder, Lanes.filled(builder, 0.0).value) for _ in range(3)]
-        with counted(builder, arguments[6], arguments[7]) as (spring, _):
-            there = _vectors_at(builder, u, lanes, spring)
-            offset = [Lanes.of_window(builder, n, spring, axis, _NUMBERS) for axis in range(3)]
-            length, excess, stiffness = (Lanes.of_window(builder, n, spring, which, _NUMBERS) for which in (3, 4, 5))
-            moved = [there[axis] - own[axis] for axis in range(3)]
-            d = [offset[axis] + moved[axis] for axis in range(3)]
-            square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + _TINY
-            e = excess
-            for axis in range(3):
-                e = e + (offset[axis] + d[axis]) * moved[axis]
-            tension = stiffness * e / (square + length * square.root())
-            for axis in range(3):
-                before = Lanes(builder, builder.load(total[axis]))
-                builder.store((before + tension * d[axis]).value, total[axis])
-        for axis in range(3):
-            place = builder.gep(result, [ir.Constant(_INDEX, axis * LANE_COUNT)])
-            Lanes(builder, builder.load(total[axis])).store(place)
-        return nothing(context)
-
-    return types.void(now, lane, other, numbers, pull, types.int64, types.int64, types.int64), codegen
-
-
-def _vectors_at(builder: Any, displacement: Any, lanes: Any, row: Any) -> list[Lanes]:
-    """The displacements at a row of lanes that lie anywhere."""
-    start = builder.mul(row, ir.Constant(_INDEX, LANE_COUNT))
-    places = [
-        builder.load(builder.gep(lanes, [builder.add(start, ir.Constant(_INDEX, place))]))
-        for place in range(LANE_COUNT)
-    ]
-    return [
-        Lanes.gathered(
-            builder,
-            [
-                builder.gep(displacement, [builder.add(place, ir.Constant(_INDEX, axis * BANK_LANES))])
-                for place in places
-            ],
-        )
-        for axis in range(3)
-    ]
 
 
 @kernel
@@ -154,7 +95,7 @@ def pull_explicitly(
             is_mine = is_mine or chunk_of[windows[group, place]] == chunk
         if not is_mine:
             continue
-        _pull_of_group(now, lane, other, numbers, pull, group, first[group], first[group + 1])
+        pull_of_group(now, lane, other, numbers, pull, group, first[group], first[group + 1])
         for place in range(LANE_COUNT):
             own = lane[group, place]
             if own == EMPTY_START or chunk_of[windows[group, place]] != chunk:
