@@ -146,6 +146,7 @@ function run() {
   /** @param {string} name */
   function replay(name) {
     forget();
+    notice("", [{ place: "", message: say("recording_opening", { name }) }]);
     ask({ do: "replay", name });
   }
 
@@ -398,7 +399,10 @@ function run() {
     const cutting = header.cutting > 0 ? say("operate_cutting") : "";
     const pace = header.pace === null ? "" : say("operate_pace", { pace: figure(header.pace, 2) });
     find("pace").textContent = [cutting, pace].filter(Boolean).join("   ");
-    if (before?.recording && !header.recording) ask({ do: "recordings" });
+    if (before?.recording && !header.recording) {
+      ask({ do: "recordings" });
+      notice("", [{ place: "", message: say("recording_done", { name: before.recording }) }]);
+    }
     if (noticeUntil > 0 && performance.now() > noticeUntil) notice("", []);
   }
 
