@@ -96,4 +96,4 @@ def _uid(digest: bytes, what: str) -> str:
 
 
 def _number(value: float) -> str:
-    return format_number_as_ds(float(value) + 0.0)
+    return str(format_number_as_ds(float(value) + 0.0))
