@@ -399,10 +399,7 @@ function run() {
     const cutting = header.cutting > 0 ? say("operate_cutting") : "";
     const pace = header.pace === null ? "" : say("operate_pace", { pace: figure(header.pace, 2) });
     find("pace").textContent = [cutting, pace].filter(Boolean).join("   ");
-    if (before?.recording && !header.recording) {
-      ask({ do: "recordings" });
-      notice("", [{ place: "", message: say("recording_done", { name: before.recording }) }]);
-    }
+    if (before?.recording && !header.recording) ask({ do: "recordings" });
     if (noticeUntil > 0 && performance.now() > noticeUntil) notice("", []);
   }
 

@@ -34,7 +34,6 @@ export const operating = {
   figure_reach_mm3: "Reichweite der Spitze",
   plans_choose: "{name} zum Vergleich wählen",
   recording_opening: "Die Aufnahme {name} wird geöffnet …",
-  recording_done: "Die Aufnahme {name} ist fertig.",
   plans_rename: "Umbenennen",
   plans_new_name: "Neuer Name von {name}",
   plans_name_it: "So nennen",

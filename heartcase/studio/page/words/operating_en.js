@@ -34,7 +34,6 @@ export const operating = {
   figure_reach_mm3: "Reach of the tip",
   plans_choose: "Choose {name} to compare it",
   recording_opening: "Opening the recording {name} …",
-  recording_done: "The recording {name} is finished.",
   plans_rename: "Rename",
   plans_new_name: "New name of {name}",
   plans_name_it: "Name it",
