@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 import SimpleITK as sitk
 from click.testing import CliRunner
+from pydicom import dcmread
 
 from heartcase.cli.commands.phantom import command
 from heartcase.cli.main import main
 from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 
 
@@ -46,6 +49,25 @@ def test_scan_only_and_without_noise(tmp_path):
     values = sitk.GetArrayFromImage(sitk.ReadImage(str(tmp_path / "scan.nii.gz")))
     assert values.min() == -800.0
     assert values.max() == 350.0
+
+
+@pytest.mark.parametrize("modality", ["mri", "ct"])
+def test_a_dicom_series_is_the_same_scan_and_names_nobody(tmp_path, modality):
+    sizes = ("--size", "child", "--spacing", "6", "6", "7")
+    given = (*sizes, "--modality", modality, "--oblique", "--scan-only", "--dicom")
+    text = run(tmp_path / "one", *given)
+    scan, series = (read_scan(tmp_path / "one" / name) for name in ("scan.nii.gz", "dicom"))
+    assert f"scan.nii.gz, dicom ({scan.geometry.size[2]} files)" in text
+    assert series.modality == {"mri": "MR", "ct": "CT"}[modality]
+    assert series.geometry.size == scan.geometry.size
+    np.testing.assert_allclose(series.geometry.affine, scan.geometry.affine, atol=1e-4)
+    np.testing.assert_array_equal(series.values, np.rint(scan.values))
+    run(tmp_path / "two", *given)
+    one, two = (sorted((tmp_path / name / "dicom").iterdir()) for name in ("one", "two"))
+    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
+    assert str(dcmread(one[0]).PatientName) == "child phantom"
+    with pytest.raises(UsageError, match="is there and is not empty"):
+        run(tmp_path / "one", *given)
 
 
 @pytest.mark.parametrize(

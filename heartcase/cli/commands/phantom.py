@@ -70,6 +70,7 @@ def _is_number(text: str) -> bool:
 @click.option("--vsd", type=float, default=None, metavar="MM", help="Add a ventricular septal defect of this diameter.")
 @click.option("--asd", type=float, default=None, metavar="MM", help="Add an atrial septal defect of this diameter.")
 @click.option("--scan-only", is_flag=True, help="Write the scan alone, without truth and recipe.")
+@click.option("--dicom", is_flag=True, help="Write the scan as a DICOM series too, into OUT_DIR/dicom.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @working("making the scan")
 def command(
@@ -84,18 +85,20 @@ def command(
     vsd: float | None,
     asd: float | None,
     scan_only: bool,
+    dicom: bool,
     as_json: bool,
 ) -> None:
     """Make a synthetic scan of a heart of known shape.
 
     Writes scan.nii.gz, truth.nii.gz (true label of each voxel) and recipe.toml (strokes and end markers, ready for
-    "heartcase build") into OUT_DIR.
+    "heartcase build") into OUT_DIR. With --dicom there is also a series of DICOM files to choose in "heartcase studio".
     """
     from heartcase.library.scans import note_scan
     from heartcase.phantom.anatomy.heart import HeartPhantom
     from heartcase.phantom.drawing.recipe import recipe_text
     from heartcase.phantom.scan.acquisition import acquire_ct, acquire_mri
     from heartcase.pipeline.data import Scan, Segmentation
+    from heartcase.pipeline.formats.write_dicom_series import write_dicom_series
     from heartcase.pipeline.formats.write_images import write_scan, write_segmentation
 
     voxel = _spacing(spacing, size)
@@ -124,6 +127,11 @@ def command(
     write_scan(Scan(scan.values, geometry, scan.modality), out_dir / "scan.nii.gz")
     same = None if defects else _as_settings(size, scan.modality, voxel, noise, bias, seed, oblique)
     note_scan(out_dir / "scan.nii.gz", same)
+    if dicom:
+        written = write_dicom_series(
+            Scan(scan.values, geometry, scan.modality), out_dir / "dicom", name=f"{size} phantom"
+        )
+        files += [f"dicom/{path.name}" for path in written]
     summary: dict[str, Any] = {
         "size": size,
         "modality": scan.modality,
@@ -161,7 +169,10 @@ def command(
     click.echo(f"{scan.modality} of the {size} phantom: {extent} voxels of {step} mm, noise {scan.noise_sd:.3g}")
     if "tissue_ml" in summary:
         click.echo(f"tissue {summary['tissue_ml']:g} ml")
-    click.echo(f"wrote {', '.join(files)} into {out_dir}")
+    shown = [name for name in files if not name.startswith("dicom/")]
+    if dicom:
+        shown.append(f"dicom ({len(files) - len(shown)} files)")
+    click.echo(f"wrote {', '.join(shown)} into {out_dir}")
 
 
 def _as_settings(

@@ -123,7 +123,8 @@ function run() {
     if (message.kind === "progress") {
       const key = `stage_${message.text}`;
       status.progress(isWord(key) ? say(key) : say("stage_other", { stage: message.text }), message.fraction);
-    } else if (message.kind === "opened") open(message);
+    } else if (message.kind === "compiling") status.compiling(message);
+    else if (message.kind === "opened") open(message);
     else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
     else if (message.kind === "structures") {
       preview.refresh();

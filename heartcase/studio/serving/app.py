@@ -75,7 +75,7 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
             if place is None:
                 await websocket.close(1008)
             else:
-                await _serve_page(websocket, place)
+                await _serve_page(websocket, place, starting)
 
         return WebSocketRoute(f"/{name}/{{key}}", talk)
 
@@ -115,10 +115,12 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
     return Gate(Starlette(routes=routes, lifespan=lifespan), token=token, port=port)
 
 
-async def _serve_page(websocket: WebSocket, place: Place) -> None:
+async def _serve_page(websocket: WebSocket, place: Place, told_by: Start | None = None) -> None:
     """Talk to a page until it is gone."""
     await websocket.accept()
     page = Page()
+    if told_by is not None:
+        told_by.follow(page)
     sender = asyncio.create_task(_send(websocket, page))
     # Requests are read while a recipe is being opened, and wait for it.
     joined = asyncio.create_task(place.join(page))
@@ -130,6 +132,8 @@ async def _serve_page(websocket: WebSocket, place: Place) -> None:
     except (WebSocketDisconnect, KeyError, RuntimeError):
         pass
     finally:
+        if told_by is not None:
+            told_by.unfollow(page)
         joined.cancel()
         sender.cancel()
         # A server that ends cancels this too: the page's stroke is saved all the same.

@@ -66,6 +66,7 @@ class Start:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio-start")
         self._pages: set[Page] = set()
         self._compiling: Compiling | None = None
+        self._following: set[Page] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def open_recipe(self, path: Path, *, out: Path) -> str:
@@ -101,6 +102,17 @@ class Start:
         page.send(self._compiling_message())
         # reading them takes a second, once
         page.send(await self._run(lambda: text_message("samples", samples=list(shown_samples()))))
+
+    def follow(self, page: Page) -> None:
+        """Tell a page of a recipe or case how far compiling is, until :meth:`unfollow`: it waits for that too."""
+        self._loop = asyncio.get_running_loop()
+        self._following.add(page)
+        if self._compiling is not None and self._compiling.progress is not None:
+            page.send(self._compiling_message())
+
+    def unfollow(self, page: Page) -> None:
+        """Tell a page no more of it."""
+        self._following.discard(page)
 
     async def leave(self, page: Page) -> None:
         """Forget a page."""
@@ -143,7 +155,7 @@ class Start:
 
         def tell() -> None:
             message = self._compiling_message()
-            for page in self._pages:
+            for page in self._pages | self._following:
                 page.send(message)
 
         loop.call_soon_threadsafe(tell)

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Heart } from "../../../heartcase/studio/page/operating/heart.js";
+import { ToolsInScene } from "../../../heartcase/studio/page/operating/tools_in_scene.js";
 
 const FACES = 256;
 
@@ -65,4 +66,18 @@ test("a normal map is of the case that is shown, and goes with it", async () => 
   await late;
   assert.equal(hasMap.value, false);
   assert.deepEqual(closed, ["first", "late"]);
+});
+
+test("a stitch is seen also where its places lie together", () => {
+  const added = [];
+  const scene = { add: (one) => added.push(one) };
+  const tools = new ToolsInScene(scene, scene);
+  const shows = () => [tools.stitches, tools.knots].map((one) => one.visible);
+  const places = [[1, 2, 3], [1, 2, 3]];
+  assert.ok(tools.show({ device: null, instruments: [], patches: [], stitches: [{ places_mm: places }] }, {}));
+  assert.deepEqual(shows(), [true, true]);
+  assert.ok(tools.knots.isPoints && tools.knots.material.size > 1 && added.includes(tools.knots));
+  assert.deepEqual([...tools.knots.geometry.attributes.position.array], places.flat());
+  tools.show({ device: null, instruments: [], patches: [], stitches: [] }, {});
+  assert.deepEqual(shows(), [false, false]);
 });

@@ -19,8 +19,8 @@ function begun({ hasTool, answers = [], twoFingersMove = false }) {
     },
     answered: () => {}, failed: (error) => assert.fail(error), changed: () => {}, hasTool: () => hasTool, isReady: () => true, cursorMoved: () => {}, twoFingersMove,
   });
-  const does = (type, pointerId, x, y, pointerType = "touch") =>
-    surface.dispatchEvent(Object.assign(new Event(type), { pointerId, pointerType, clientX: x, clientY: y, button: 0, shiftKey: false }));
+  const does = (type, pointerId, x, y, pointerType = "touch", more = {}) =>
+    surface.dispatchEvent(Object.assign(new Event(type), { ...more, pointerId, pointerType, clientX: x, clientY: y, button: 0, shiftKey: false }));
   return { camera, asked, pointer, does };
 }
 const later = () => new Promise((resolve) => setTimeout(resolve, 5));
@@ -106,4 +106,18 @@ test("a hand that rests beside its pen does nothing", async () => {
   does("pointerup", 1, 120, 100, "pen");
   await later();
   assert.deepEqual(asked, ["press", "drag", "release"]);
+});
+
+test("the wheel zooms towards the pointer: what lies there stays there", () => {
+  const { camera, does } = begun({ hasTool: false });
+  const { right, up } = camera;
+  const pointed = [0, 1, 2].map((i) => camera.target[i] + (300 - 200) * camera.mmPerPixel * right[i] + (200 - 120) * camera.mmPerPixel * up[i]);
+  const near = (found, wanted) => found.forEach((one, i) => assert.ok(Math.abs(one - wanted[i]) < 1e-6, `${found} for ${wanted}`));
+  near(camera.pixel(pointed), [300, 120]);
+  const before = camera.distance;
+  for (const deltaY of [-200, -200, 100]) {
+    does("wheel", 0, 300, 120, "mouse", { deltaY, deltaMode: 0 });
+    near(camera.pixel(pointed), [300, 120]);
+  }
+  assert.ok(camera.distance < 0.7 * before);
 });

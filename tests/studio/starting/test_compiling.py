@@ -20,7 +20,7 @@ from heartcase.studio.starting.compiling import LIST, kernels_of_the_studio
 from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
 from tests.pipeline.building.test_kernels_ahead import called, key_of, write
-from tests.studio.talking import ADDRESS, PORT, TOKEN
+from tests.studio.talking import ADDRESS, PORT, TOKEN, write_recipe
 
 MODULE = "tests.studio.starting.kernels_called"
 
@@ -53,21 +53,24 @@ def compiled(monkeypatch):
 
 
 @contextlib.contextmanager
-def starting(folder):
-    """The start page's place, which compiles; and its socket."""
+def starting(folder, recipe=None):
+    """What the start page's socket says of compiling, or that of a recipe."""
     registry = Registry(TOKEN)
     start = Start(registry, roots=[folder], state=folder / "state")
     app = make_app(registry, token=TOKEN, port=PORT, start=start)
     start.begin_to_compile()
     with TestClient(app, base_url=ADDRESS, follow_redirects=False) as browser:
         browser.get("/", params={"token": TOKEN})
-        url = f"ws://127.0.0.1:{PORT}/starting"
+        line = "starting" if recipe is None else f"socket/{registry.open_recipe(recipe, out=folder / 'out').key}"
+        url = f"ws://127.0.0.1:{PORT}/{line}"
         with browser.websocket_connect(url, headers={"origin": ADDRESS}) as socket:
 
             def hear():
-                while (found := json.loads(socket.receive_text()))["kind"] != "compiling":
-                    pass
-                return found["fraction"], found["seconds_left"]
+                while True:
+                    text = socket.receive().get("text")
+                    found = json.loads(text) if text else {"kind": "bytes"}
+                    if found["kind"] == "compiling":
+                        return found["fraction"], found["seconds_left"]
 
             yield hear
 
@@ -81,6 +84,16 @@ def test_the_start_page_shows_how_far_it_is_until_all_is_done(compiled, tmp_path
         assert told == (None, None)
         assert compiled["ended"].is_set()
     assert compiled["wanted"] == kernels_of_the_studio()
+
+
+def test_a_recipe_that_is_opened_meanwhile_says_so_too(compiled, tmp_path):
+    path, _ = write_recipe(tmp_path)
+    with starting(tmp_path, path) as hear:
+        assert hear() == (0.25, 90.0)
+        compiled["goes_on"].set()
+        while (told := hear()) == (1.0, 0.0):
+            pass
+        assert told == (None, None)
 
 
 def test_a_studio_that_ends_ends_what_compiles_for_it(compiled, tmp_path):

@@ -97,9 +97,18 @@ export class Camera {
     this.target = add(add(this.target, this.right, -across * this.mmPerPixel), this.up, down * this.mmPerPixel);
   }
 
-  /** @param {number} times nearer, above 1 */
-  zoom(times) {
+  /**
+   * Nearer or farther, towards a place of the picture: what lies there, as deep as the target, stays there.
+   * @param {number} times nearer, above 1
+   * @param {{x: number, y: number}} [place] pixels from the picture's upper left corner; its middle when left out
+   */
+  zoom(times, place) {
+    const before = this.mmPerPixel;
     this.distance = Math.min(Math.max(this.distance / times, NEAREST_MM), FARTHEST * this.size);
+    if (place === undefined) return;
+    const mm = before - this.mmPerPixel;
+    const aside = add(this.target, this.right, (place.x - this.width / 2) * mm);
+    this.target = add(aside, this.up, (this.height / 2 - place.y) * mm);
   }
 
   /** @param {number} x @param {number} y pixels from the picture's upper left corner @returns {Look} */

@@ -4,6 +4,7 @@ import { Beside } from "../figures/beside.js";
 import { Device } from "../figures/device.js";
 import { LiveFigures } from "../figures/live_figures.js";
 import { Plans } from "../figures/plans.js";
+import { showCompiling } from "../panel/status.js";
 import { runTabs } from "../panel/tiles.js";
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
@@ -145,6 +146,7 @@ function run() {
   /** @param {string} name */
   function replay(name) {
     forget();
+    notice("", [{ place: "", message: say("recording_opening", { name }) }]);
     ask({ do: "replay", name });
   }
 
@@ -290,6 +292,7 @@ function run() {
   /** @param {Message} message */
   function hear(message) {
     if (message.kind === "progress") curtain(say("operate_opening"), []);
+    else if (message.kind === "compiling") showCompiling(find("curtain-compiling"), message);
     else if (message.kind === "opened") begin(message);
     else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
     else if (message.kind === "figures") figures.hear(message);
@@ -419,7 +422,7 @@ function run() {
     isReady = false;
     document.body.dataset.ready = "false";
     curtain(heading, problems);
-    find("curtain-bar").hidden = true;
+    find("curtain-bar").hidden = find("curtain-compiling").hidden = true;
   }
 
   /** @param {unknown} error */

@@ -76,7 +76,7 @@ export class Pointer {
     this.does.cursorMoved();
   }
 
-  /** @param {PointerEvent} event */
+  /** @param {MouseEvent} event */
   #place(event) {
     const box = this.surface.getBoundingClientRect();
     return { x: event.clientX - box.left, y: event.clientY - box.top };
@@ -154,7 +154,7 @@ export class Pointer {
     if (this.isUsed) this.#deeper(event.deltaY < 0 ? 1 : -1);
     else {
       const pixels = event.deltaMode === 0 ? event.deltaY : 33 * event.deltaY;
-      this.camera.zoom(Math.exp(-ZOOM_PER_PIXEL * pixels));
+      this.camera.zoom(Math.exp(-ZOOM_PER_PIXEL * pixels), this.#place(event));
       this.does.changed();
     }
   }

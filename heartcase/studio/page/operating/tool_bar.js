@@ -47,6 +47,12 @@ export class ToolBar {
     const word = `operate_size_${this.tool}`;
     const words = size === null ? say("operate_no_tool") : isWord(word) ? say(word, { size: figure(size, digits) }) : String(size);
     find("size").textContent = words;
+    const hint = `operate_hint_${this.tool}`;
+    // without a server there is no place for it
+    const shown = document.getElementById("tool-hint");
+    if (shown === null) return;
+    shown.hidden = !isWord(hint);
+    shown.textContent = isWord(hint) ? say(hint) : "";
   }
 }
 

@@ -9,6 +9,7 @@ const HANDLE_MM = 1.5;
 /** Length of the line that shows a force, mm for each newton. */
 const FORCE_MM_N = 20;
 const LINE_COLOUR = 0xff2d55;
+const KNOT_COLOUR = 0xf2f5f8;
 
 export class ToolsInScene {
   /** @type {Map<string, any>} */
@@ -22,11 +23,13 @@ export class ToolsInScene {
     this.stitches = new three.LineSegments(new three.BufferGeometry(), new three.LineBasicMaterial({ color: 0x101418 }));
     this.drawn = new three.Line(new three.BufferGeometry(), new three.LineBasicMaterial({ color: LINE_COLOUR }));
     this.points = new three.Points(new three.BufferGeometry(), new three.PointsMaterial({ color: LINE_COLOUR, size: 7, sizeAttenuation: false }));
-    this.stitches.material.clippingPlanes = [this.#clipping];
+    // where lips lie together a thread has no length: its places are seen all the same
+    this.knots = new three.Points(new three.BufferGeometry(), new three.PointsMaterial({ color: KNOT_COLOUR, size: 4, sizeAttenuation: false }));
+    this.stitches.material.clippingPlanes = this.knots.material.clippingPlanes = [this.#clipping];
     this.patches = new three.Group();
     scene.add(this.patches);
     this.force = new three.LineSegments(new three.BufferGeometry(), new three.LineBasicMaterial({ color: COLOURS.device }));
-    for (const one of [this.force, this.stitches, this.drawn, this.points]) {
+    for (const one of [this.force, this.stitches, this.knots, this.drawn, this.points]) {
       one.frustumCulled = false;
       over.add(one);
     }
@@ -76,7 +79,9 @@ export class ToolsInScene {
       ball.material.dispose();
       this.#balls.delete(name);
     }
-    this.#setPoints(this.stitches, header.stitches.flatMap((/** @type {any} */ one) => one.places_mm).flat());
+    const places = header.stitches.flatMap((/** @type {any} */ one) => one.places_mm).flat();
+    this.#setPoints(this.stitches, places);
+    this.#setPoints(this.knots, places);
     this.#showPatches(header.patches.length, arrays);
     return true;
   }

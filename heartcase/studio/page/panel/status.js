@@ -1,6 +1,6 @@
 /** What goes on: saved or not, connected or not, what was refused, how far the opening is. */
 
-import { figure, language, say } from "../shared/words.js";
+import { figure, language, say, timeLeft } from "../shared/words.js";
 import { positionText } from "../pictures/views.js";
 import { element } from "./structures.js";
 
@@ -9,6 +9,7 @@ import { element } from "./structures.js";
 /** @typedef {import("../shared/studio.js").Studio} Studio */
 /** @typedef {import("../pictures/views.js").Views} Views */
 /** @typedef {import("../shared/words.js").Word} Word */
+/** @typedef {import("../shared/connection.js").Message} Message */
 
 export class Status {
   /**
@@ -25,7 +26,7 @@ export class Status {
     this.parts = {
       saved: find("saved"), under: find("under"), notice: find("notice"), words: find("notice-words"),
       curtain: find("curtain"), curtainWords: find("curtain-words"), bar: /** @type {HTMLProgressElement} */ (find("curtain-bar")),
-      lost: find("lost"),
+      lost: find("lost"), compiling: find("curtain-compiling"),
     };
     find("notice-close").addEventListener("click", () => this.clear());
     for (const signal of [connection.state, connection.changing, studio.ready, studio.saved, language]) {
@@ -46,11 +47,16 @@ export class Status {
     else bar.value = fraction;
   }
 
+  /** How far this installation is with what it compiles once, as what is waited for may need it. @param {Message} message */
+  compiling(message) {
+    showCompiling(this.parts.compiling, message);
+  }
+
   /** Nothing more will come: say why, for good. @param {Word} heading @param {readonly Problem[]} problems */
   stop(heading, problems) {
     const { curtain, curtainWords, bar } = this.parts;
     curtain.hidden = false;
-    bar.hidden = true;
+    bar.hidden = this.parts.compiling.hidden = true;
     curtainWords.replaceChildren(element("strong", "", say(heading)), problemList(problems));
   }
 
@@ -95,6 +101,14 @@ export class Status {
     }
     this.parts.under.textContent = text;
   }
+}
+
+/** Say below what is waited for that this machine gets ready, and for how long. @param {HTMLElement} shown @param {Message} message */
+export function showCompiling(shown, message) {
+  shown.hidden = message.fraction === null;
+  if (message.fraction === null) return;
+  const percent = String(Math.floor(100 * message.fraction));
+  shown.textContent = say("opening_compiling", { percent, left: timeLeft(message.seconds_left) });
 }
 
 /** @param {readonly Problem[]} problems */

@@ -57,6 +57,12 @@ export function figure(value, digits) {
   return value.toLocaleString(language.value, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
 
+/** How long something still takes, in words. @param {number} seconds */
+export function timeLeft(seconds) {
+  const minutes = Math.ceil(seconds / 60);
+  return say(minutes > 1 ? "start_compiling_left" : "start_compiling_soon", { minutes: String(minutes) });
+}
+
 /**
  * Fill in every element's words: `data-word` is its text, `data-label` its accessible name and tip.
  * @param {ParentNode} root

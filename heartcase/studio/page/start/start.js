@@ -3,7 +3,7 @@
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme } from "../shared/looks.js";
-import { fillWords, language, say } from "../shared/words.js";
+import { fillWords, language, say, timeLeft } from "../shared/words.js";
 import { Chooser } from "./chooser.js";
 import { Lists } from "./lists.js";
 import { Series } from "./series.js";
@@ -81,8 +81,7 @@ function showCompiling(message) {
   if (message.fraction === null) return;
   const bar = /** @type {HTMLProgressElement} */ (find("compiling-bar"));
   bar.value = message.fraction;
-  const minutes = Math.ceil(message.seconds_left / 60);
-  find("compiling-left").textContent = say(minutes > 1 ? "start_compiling_left" : "start_compiling_soon", { minutes: String(minutes) });
+  find("compiling-left").textContent = timeLeft(message.seconds_left);
 }
 
 /** @param {Message} message */

@@ -33,6 +33,7 @@ export const operating = {
   figure_freedom_mm3: "Freiheit am Defekt",
   figure_reach_mm3: "Reichweite der Spitze",
   plans_choose: "{name} zum Vergleich wählen",
+  recording_opening: "Die Aufnahme {name} wird geöffnet …",
   plans_rename: "Umbenennen",
   plans_new_name: "Neuer Name von {name}",
   plans_name_it: "So nennen",

@@ -33,6 +33,7 @@ export const operating = {
   figure_freedom_mm3: "Freedom at the defect",
   figure_reach_mm3: "Reach of the tip",
   plans_choose: "Choose {name} to compare it",
+  recording_opening: "Opening the recording {name} …",
   plans_rename: "Rename",
   plans_new_name: "New name of {name}",
   plans_name_it: "Name it",

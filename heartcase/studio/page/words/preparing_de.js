@@ -41,5 +41,6 @@ export const words = {
   contact_open: "Offen gelassen: {pair}",
   contact_wall: "Wand: {pair}",
   septum_between: "Getrennt: {pair}",
+  opening_compiling: "Erster Start auf diesem Rechner: Er wird vorbereitet ({percent} %, {left}); darum dauert es einmal länger.",
   field_is_open: "Ist offen",
 };

@@ -41,4 +41,5 @@ export const words = {
   contact_wall: "Wall: {pair}",
   septum_between: "Kept apart: {pair}",
   field_is_open: "Is open",
+  opening_compiling: "First start on this machine: it gets ready ({percent}%, {left}), so this takes longer, once.",
 };
