@@ -51,7 +51,7 @@ def operate(case: Path, seconds: float, browser, *, every_s: float = 5.0, say=pr
         tab = browser.new_page(viewport={"width": 800, "height": 600})
         inside = tab.context.new_cdp_session(tab)
         tab.goto(address)
-        tab.locator("body[data-ready=true]").wait_for(timeout=300_000)
+        tab.locator("body[data-ready=true]").wait_for(timeout=900_000)
         box = tab.locator("#scene").bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         began = told = time.monotonic()
