@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,7 +15,7 @@ from heartcase.schemas.touring.tour import Tour
 from heartcase.simulator.touring.case_places import CasePlaces
 from heartcase.simulator.touring.staging import StagedScene, staged_scenes
 
-__all__ = ["FoundTours", "ShownTour", "find_tours"]
+__all__ = ["FoundTours", "ShownTour", "find_tours", "tours_sha256"]
 
 _MOST = 20
 """Tours of a case that are shown at most."""
@@ -92,6 +94,16 @@ def find_tours(places: CasePlaces, folders: Iterable[Path], samples: Path | None
             if is_own:
                 problems += error.problems
     return FoundTours(tuple(shown), tuple(problems))
+
+
+def tours_sha256(folders: Iterable[Path]) -> str:
+    """Hash of all tours in some folders: what is made with them is as new as they are where it stays the same."""
+    digest = hashlib.sha256()
+    for folder in folders:
+        for path in _tours_in(folder):
+            with contextlib.suppress(OSError):
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def _tours_in(folder: Path) -> Iterator[Path]:
