@@ -130,6 +130,16 @@ def test_a_case_of_a_recipe_that_was_renamed_is_the_one_that_is_shown_opened_and
         told.ask(do="approve", role="consultant cardiologist", sha256=sha256, has_looked=True)
     assert approval_state(case).state == "approved"
     assert approval_state(other).state == "draft"
+    # after a restart too, wherever the new name leads
+    for name in ("nowhere", "other"):
+        copy.write_text(re.sub(r'^name = ".*"$', f'name = "{name}"', copy.read_text(), count=1, flags=re.MULTILINE))
+        with studio(copy) as browser, building(browser) as told:
+            assert (told.first["age"], told.first["case"]["name"]) == ("older", "ball")
+    # but for what was built there since
+    (other / "case.json").touch()
+    with studio(copy) as browser, building(browser) as told:
+        assert told.ask(do="operate")["address"] != at_first
+        assert told.first["age"] == "unknown"
 
 
 def test_a_case_of_unknown_recipe_is_told_as_that(copy):
