@@ -17,7 +17,7 @@ from heartcase.simulator.touring.case_places import CasePlaces
 from heartcase.simulator.touring.running import run_timed
 from heartcase.simulator.touring.staging import timed_commands
 from heartcase.studio.sample_folder import sample_folder
-from heartcase.studio.touring.found_tours import ShownTour, find_tours
+from heartcase.studio.touring.found_tours import ShownTour, find_tours, tour_folders
 
 __all__ = ["Toured", "tours_of"]
 
@@ -93,5 +93,5 @@ def tours_of(case: Case, path: Path, *, does_acts: bool = True) -> tuple[list[To
     does_acts
         As of :class:`Toured`.
     """
-    found = find_tours(CasePlaces(case), [path.parent], sample_folder())
+    found = find_tours(CasePlaces(case), tour_folders(path, case.manifest.name), sample_folder())
     return [Toured(one, case, does_acts) for one in found.shown], found.problems
