@@ -47,6 +47,7 @@ def page_of(
     played = [_recorded(name, one, loaded, frames_per_second) for name, one in opened]
     toured, problems = tours_of(loaded, case) if tours else ([], ())
     shown = shown_of(open_bundle(case), level)
+    assert loaded.surface is not None
     normal_map = load_normal_map(case, loaded.surface, level)
     made = web_page(loaded, shown, played, tours=toured, normal_map=normal_map, frames_per_second=frames_per_second)
     return made, [str(problem) for problem in (*problems, *(each for one in toured for each in one.problems))]
