@@ -217,6 +217,7 @@ def _write_site(
     level: int | None,
     rate: float | None,
     *,
+    tours: bool,
     as_json: bool,
 ) -> None:
     """Write a site, and say so."""
@@ -227,7 +228,7 @@ def _write_site(
     console = error_console()
     try:
         made = site_of(
-            cases, recordings, out, level=level, frames_per_second=rate,
+            cases, recordings, out, level=level, frames_per_second=rate, tours=tours,
             say=lambda name: console.print(f"  {name}", markup=False, soft_wrap=True),
         )  # fmt: skip
     except OSError as error:
@@ -407,7 +408,9 @@ def _site_problems(cases: Sequence[Path], output: Path, is_web: bool) -> list[Pr
     "The less, the larger the file.",
 )
 @click.option(
-    "--no-tours", is_flag=True, help="Of .html: leave out the case's guided tours, which take time to be done."
+    "--no-tours",
+    is_flag=True,
+    help="Of .html and sites: leave out the guided tours, which in .html take time to be done.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the file.")
 @working("exporting")
@@ -446,7 +449,7 @@ def command(
     if problems:
         raise UsageError(problems)
     if is_site:
-        _write_site(cases, recordings, output, level, frames_per_second, as_json=as_json)
+        _write_site(cases, recordings, output, level, frames_per_second, tours=not no_tours, as_json=as_json)
         return
     (case,) = cases
     export = _Export(case, open_bundle(case), scan, series, level or 0)

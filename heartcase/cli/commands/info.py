@@ -12,6 +12,7 @@ import numpy as np
 from heartcase.cli.shared.output import echo_json, echo_warnings, file_size, print_facts, print_table, working
 from heartcase.cli.shared.stage_io import scan_options
 from heartcase.pipeline.warnings import CaseWarning, counted, warnings_of
+from heartcase.schemas.bundle.coordinates import WAYS
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import MissingPathError
 from heartcase.schemas.geometry import Geometry
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from heartcase.schemas.recipe.recipe import Recipe
 
 __all__ = ["case_facts", "command", "direction_words", "kind_of", "recipe_facts", "recording_facts", "scan_facts"]
-
-_WORDS = (("right", "left"), ("front", "back"), ("feet", "head"))
 
 
 def kind_of(path: Path) -> str:
@@ -173,7 +172,7 @@ def direction_words(geometry: Geometry) -> list[str]:
     """Where the axes i, j, k run to in the patient, by the nearest direction: ``left``, ``back``, ``head`` ..."""
     matrix = geometry.direction_matrix
     nearest = np.abs(matrix).argmax(axis=0)
-    return [_WORDS[world][int(matrix[world, axis] > 0.0)] for axis, world in enumerate(nearest)]
+    return [WAYS[world][int(matrix[world, axis] > 0.0)] for axis, world in enumerate(nearest)]
 
 
 def _oblique_degrees(geometry: Geometry) -> float:

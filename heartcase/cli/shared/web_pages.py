@@ -19,7 +19,6 @@ from heartcase.simulator.session.stored import lattice_sha256
 if TYPE_CHECKING:
     from heartcase.studio.offline.site import SiteResult
     from heartcase.studio.offline.web_page import Recorded
-    from heartcase.studio.touring.found_tours import FoundTours
 
 __all__ = ["page_of", "site_of"]
 
@@ -39,18 +38,19 @@ def page_of(
     """
     from heartcase.schemas.bundle.reader import open_bundle
     from heartcase.studio.offline.shown import shown_of
-    from heartcase.studio.offline.toured import Toured
+    from heartcase.studio.offline.toured import tours_of
     from heartcase.studio.offline.web_page import web_page
-    from heartcase.studio.touring.found_tours import FoundTours
+    from heartcase.studio.operating.scene.normal_map import load_normal_map
 
     opened = _opened(recordings, frames_per_second)
     loaded = load_case(case, needs=("surface", "structures", "cell_labels", "tissue"), level=level)
     played = [_recorded(name, one, loaded, frames_per_second) for name, one in opened]
-    found = _tours(loaded, case) if tours else FoundTours((), ())
-    toured = [Toured(one, loaded) for one in found.shown]
+    toured, problems = tours_of(loaded, case) if tours else ([], ())
     shown = shown_of(open_bundle(case), level)
-    made = web_page(loaded, shown, played, tours=toured, frames_per_second=frames_per_second)
-    return made, [str(problem) for problem in (*found.problems, *(each for one in toured for each in one.problems))]
+    assert loaded.surface is not None
+    normal_map = load_normal_map(case, loaded.surface, level)
+    made = web_page(loaded, shown, played, tours=toured, normal_map=normal_map, frames_per_second=frames_per_second)
+    return made, [str(problem) for problem in (*problems, *(each for one in toured for each in one.problems))]
 
 
 def site_of(
@@ -60,9 +60,12 @@ def site_of(
     *,
     level: int | None,
     frames_per_second: float,
+    tours: bool = True,
     say: Callable[[str], None],
 ) -> SiteResult:
     """The site of some cases; each recording is played on the page of the case that it is of.
+
+    Guided tours show there what they show; what their steps do is not done.
 
     Raises
     ------
@@ -85,17 +88,8 @@ def site_of(
         mine = [(name, one) for name, one in opened if one.header.lattice_sha256 == own]
         return [_recorded(name, one, case, frames_per_second) for name, one in mine]
 
-    chosen = [SiteCase(case, of) for case in cases]
+    chosen = [SiteCase(case, of, has_tours=tours) for case in cases]
     return write_site(chosen, out, level=level, frames_per_second=frames_per_second, say=say)
-
-
-def _tours(loaded: Case, path: Path) -> FoundTours:
-    """The case's tours: those beside it, and those that come with heartcase."""
-    from heartcase.simulator.touring.case_places import CasePlaces
-    from heartcase.studio.sample_folder import sample_folder
-    from heartcase.studio.touring.found_tours import find_tours
-
-    return find_tours(CasePlaces(loaded), [path.parent], sample_folder())
 
 
 def _opened(recordings: Sequence[Path], frames_per_second: float) -> list[tuple[str, Recording]]:

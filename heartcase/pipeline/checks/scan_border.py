@@ -15,6 +15,7 @@ from heartcase.pipeline.data import Segmentation, VesselEnd
 from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy, note
 from heartcase.schemas.arrays import Bool, UInt8
+from heartcase.schemas.bundle.coordinates import WAYS
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 
@@ -27,7 +28,6 @@ LENGTHWISE = 3.0
 an angle of 19 degrees to the face has a cut of this shape."""
 STRAIGHT = 0.9
 """Cosine from which on an axis is called by the one direction that it runs towards."""
-_WAYS = (("right", "left"), ("front", "back"), ("feet", "head"))
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def face_name(geometry: Geometry, axis: int, *, is_last: bool) -> str:
     """
     outward = geometry.direction_matrix[:, axis] * (1.0 if is_last else -1.0)
     order = np.argsort(-np.abs(outward), kind="stable")
-    words = [_WAYS[n][int(outward[n] > 0.0)] for n in order if abs(outward[n]) > 1.0 - STRAIGHT]
+    words = [WAYS[n][int(outward[n] > 0.0)] for n in order if abs(outward[n]) > 1.0 - STRAIGHT]
     if abs(outward[order[0]]) >= STRAIGHT:
         return f"{words[0]} face"
     towards = " and ".join(words[:2])

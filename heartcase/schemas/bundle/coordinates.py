@@ -10,9 +10,12 @@ from typing import Literal
 
 from heartcase.schemas.base import Model, Vector3
 
-__all__ = ["Coordinates", "Frame"]
+__all__ = ["WAYS", "Coordinates", "Frame", "Way"]
 
 Way = Literal["left", "right", "front", "back", "head", "feet"]
+"""A way in the patient."""
+WAYS: tuple[tuple[Way, Way], ...] = (("right", "left"), ("front", "back"), ("feet", "head"))
+"""Where each axis of LPS comes from, and where it leads to."""
 
 
 class Frame(Model):

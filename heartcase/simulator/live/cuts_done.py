@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import get_args
 
 from heartcase.schemas.arrays import Float32
-from heartcase.schemas.recording.commands import Act, Cut, Entry
+from heartcase.schemas.recording.commands import Act, Cut
 from heartcase.simulator.incisions.held_open import ShownHeart
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.frame import Frame
@@ -56,8 +56,9 @@ class CutsDone:
         if position < self._counted:
             known, self._counted, self.act_count = (), 0, 0
         # only what came since the last time is looked at, where nothing was taken back
-        new = [one.command for one in session.entries[self._counted : position]]
-        self.act_count += sum(isinstance(one, _ACTS) for one in new)
+        entries, counted = session.entries, self._counted
+        self.act_count += len(entries.places_of(_ACTS, counted, position))
+        new = [entries[at].command for at in entries.places_of(Cut, counted, position)]
         self._counted = position
         found = known + tuple(one for one in new if isinstance(one, Cut))
         if found != self.cuts:
@@ -75,17 +76,17 @@ class Kept:
 
     def __init__(self) -> None:
         self._count = 0
-        self._last: Entry | None = None
+        self._last: int | None = None
 
     def note(self, session: OperatingSession) -> None:
         """A recording of it was finished."""
         self._count = len(session.entries)
-        self._last = session.entries[-1] if session.entries else None
+        self._last = session.entries.origin(self._count - 1) if self._count else None
 
     def is_all_of(self, session: OperatingSession) -> bool:
         """Whether all acts that are known are in a recording, or there are none."""
         if session.is_as_recorded:
             return True
         entries, count = session.entries, self._count
-        is_same = len(entries) >= count and (count == 0 or entries[count - 1] is self._last)
-        return is_same and not any(isinstance(one.command, _ACTS) for one in entries[count:])
+        is_same = len(entries) >= count and (count == 0 or entries.origin(count - 1) == self._last)
+        return is_same and not entries.places_of(_ACTS, count)

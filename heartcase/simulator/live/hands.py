@@ -112,7 +112,8 @@ class Hands:
 
     def let_go(self, pointer: Pointer | None = None) -> bool:
         """Let go or take out what is pointed at, else the instrument that holds since last; whether there was any."""
-        pointed = None if pointer is None else nearest_held(pointer, removable(self.live.newest))
+        there = [] if pointer is None else removable(self.live.newest, pointer.plane)
+        pointed = None if pointer is None else nearest_held(pointer, there)
         command = letting_go(self.live.newest, None if pointed is None else pointed.name)
         if command is None:
             return False

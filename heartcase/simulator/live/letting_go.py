@@ -7,17 +7,27 @@ import numpy as np
 from heartcase.schemas.recording.commands import Done, OpenGrab, TakeOutPatch, TakeOutStitch, WithdrawProbe
 from heartcase.schemas.recording.tool_commands import WithdrawScissors
 from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.rays import CutPlane
 from heartcase.simulator.live.tool import Held
 
 __all__ = ["letting_go", "removable"]
 
 
-def removable(live: LiveFrame) -> list[Held]:
-    """All that can be pointed at to let it go or take it out: instruments, stitches, patches, each with its middle."""
+def removable(live: LiveFrame, plane: CutPlane | None = None) -> list[Held]:
+    """All that can be pointed at to let it go or take it out: instruments, stitches, patches, each with its middle.
+
+    Stitches and patches are left out where they lie beyond a ``plane`` that hides them; of those hidden in part
+    the middle of the rest counts.
+    """
     frame, still = live.frame, np.zeros(3)
     found = [Held(name, one.center_mm, still) for name, one in frame.instruments.items()]
-    found += [Held(name, one.places_mm.mean(axis=0), still) for name, one in frame.stitches.items()]
-    return found + [Held(name, one.vertices_mm.mean(axis=0), still) for name, one in frame.patches.items()]
+    sewn = {name: one.places_mm for name, one in frame.stitches.items()}
+    sewn |= {name: one.vertices_mm for name, one in frame.patches.items()}
+    for name, places in sewn.items():
+        shown = places if plane is None else places[plane.keeps(places)]
+        if len(shown):
+            found.append(Held(name, shown.mean(axis=0), still))
+    return found
 
 
 def letting_go(live: LiveFrame, name: str | None = None) -> Done | None:

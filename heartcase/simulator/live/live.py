@@ -445,10 +445,12 @@ class Live:
             self._goals.set(LeadGrab(name=name, offset_mm=(0.0, 0.0, 0.0)), SOFT_SPEED_MM_S)
             self._leaving[name] = OpenGrab(name=name)
         elif any(probe.name == name for probe in simulation.probes):
-            known = self.session.entries[: self.session.position]
-            came = [one.command for one in known if isinstance(one.command, BringProbe) and one.command.name == name]
-            if came:
-                self._goals.set(MoveProbe(name=name, center_mm=came[-1].center_mm), SOFT_SPEED_MM_S)
+            known = self.session.entries
+            for at in reversed(known.places_of(BringProbe, end=self.session.position)):
+                came = known[at].command
+                if isinstance(came, BringProbe) and came.name == name:
+                    self._goals.set(MoveProbe(name=name, center_mm=came.center_mm), SOFT_SPEED_MM_S)
+                    break
             self._leaving[name] = WithdrawProbe(name=name)
 
     def _leave(self) -> None:

@@ -116,6 +116,8 @@ class Pointer:
     """What it meets of the tissue that is shown; None where it passes by."""
     axes: Float64
     """Those of the eye: right, up, towards it; LPS, shape (3, 3)."""
+    plane: CutPlane | None = None
+    """The plane beyond which nothing is shown; None where all is."""
 
 
 def first_hit(ray: Ray, vertices_mm: npt.ArrayLike, triangles: npt.NDArray[Any]) -> Hit | None:

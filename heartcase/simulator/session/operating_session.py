@@ -27,6 +27,7 @@ from heartcase.schemas.recording.commands import (
     Snip,
     Undo,
 )
+from heartcase.schemas.recording.kept_entries import KeptEntries
 from heartcase.simulator.session.coming_blades import ComingBlades
 from heartcase.simulator.session.frame import Frame, Refusal, TopologyChange, instrument_frames
 from heartcase.simulator.session.perform import perform, resolved
@@ -101,7 +102,7 @@ class OperatingSession:
 
     def __init__(self, simulation: Simulation, *, snapshot_every_s: float = SNAPSHOT_EVERY_S) -> None:
         self.simulation = simulation
-        self.entries: list[Entry] = []
+        self.entries = KeptEntries()
         self.position = 0
         self.deviations: list[Deviation] = []
         self.log: SessionLog | None = None
@@ -150,7 +151,7 @@ class OperatingSession:
     @property
     def marks(self) -> tuple[tuple[str, int], ...]:
         """Named moments so far: name and step."""
-        done = (entry for entry in self.entries[: self.position] if isinstance(entry.command, Mark))
+        done = (self.entries[at] for at in self.entries.places_of(Mark, end=self.position))
         return tuple((entry.command.name, entry.step) for entry in done if isinstance(entry.command, Mark))
 
     def do(self, command: Done | Navigation) -> None:
@@ -287,7 +288,7 @@ class OperatingSession:
             There is no act to take back.
         """
         self.make_cuts(wait=True)
-        acts = [n for n, entry in enumerate(self.entries[: self.position]) if isinstance(entry.command, _ACTS)]
+        acts = self.entries.places_of(_ACTS, end=self.position)
         if not acts:
             raise SimulationError("there is nothing to take back", place="undo")
         self._go_to(acts[-1])
@@ -303,8 +304,8 @@ class OperatingSession:
         self.make_cuts(wait=True)
         if self.position == len(self.entries):
             raise SimulationError("there is nothing to do again", place="redo")
-        later = range(self.position + 1, len(self.entries))
-        self._go_to(next((n for n in later if isinstance(self.entries[n].command, _ACTS)), len(self.entries)))
+        later = self.entries.places_of(_ACTS, self.position + 1)
+        self._go_to(later[0] if later else len(self.entries))
 
     def rewind(self, seconds: float) -> None:
         """Go back so far in simulated time, s, or to the start where that is later."""
@@ -322,10 +323,9 @@ class OperatingSession:
         first, last = self.start_step, self.end_step
         if not first <= step <= last:
             raise SimulationError(f"step {step} is not known: there are {first} to {last}", place="step")
-        position = next((n for n, entry in enumerate(self.entries) if entry.end_step > step), len(self.entries))
-        self._go_to(position)
+        self._go_to(self.entries.first_beyond(step))
         if self.step_count < step:
-            row = self.entries[position].command
+            row = self.entries[self.position].command
             assert isinstance(row, Advance)
             part = Advance(steps=step - self.step_count, of=row.of or row.steps)
             self._perform(part)
@@ -396,7 +396,7 @@ class OperatingSession:
         """
         if self.entries:
             raise RecordingError("the session has a history already: load a recording into a new one", place="session")
-        self.entries = list(entries)
+        self.entries = KeptEntries(entries)
         self._stored, self._stored_end = stored, len(self.entries)
         self._compare()
 
@@ -428,7 +428,7 @@ class OperatingSession:
     def _drop_ahead(self, step: int) -> None:
         """Drop what is known from here on; where this is between the ends of a row, the row ends here, at this step."""
         part, self._on_the_way = self._on_the_way, None
-        del self.entries[self.position :]
+        self.entries.drop_from(self.position)
         self._snapshots.forget_after(self.position)
         self._stored_end = min(self._stored_end, self.position)
         if part is not None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hashlib
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -36,6 +37,7 @@ T = TypeVar("T")
 _REQUEST: TypeAdapter[Order | Approve] = TypeAdapter(BuildRequest)
 _LOOK_EVERY_S = 1.0
 """How often it is looked whether the recipe changed."""
+_NOTE_ENDING = ".built.json"
 
 
 class _Note(Model):
@@ -45,6 +47,8 @@ class _Note(Model):
     recipe_sha256: str | None
     places_mm: dict[str, tuple[PointMm, ...]]
     """Places that warnings are about, by their text."""
+    recipe: str | None = None
+    """Hash of where the recipe lies, seen from the folder of its case; None in notes of earlier versions."""
 
 
 class Building:
@@ -252,13 +256,24 @@ class Building:
         """What was built before, by whom ever; of the recipe's own case unless another is named."""
         self._recipe_sha256 = self._recipe_hash()
         own = self._case()
-        case = own if case is None else case
+        case = self._built_before(own) if case is None else case
         if case is None:
             return
         noted = self._noted(case)
         self._outcome = outcome_of(case, noted.places_mm if noted else None)
         if self._outcome is not None and noted is not None and noted.bundle_sha256 == self._outcome.sha256:
             self._built_from = noted.recipe_sha256
+
+    def _built_before(self, own: Path | None) -> Path | None:
+        """The case to begin with: under its earlier name where the recipe was given another one since it was built."""
+        mine = [case for case, note in self._notes() if note.recipe == self._recipe_key()]
+        stamps = {case: stamp[0] for case in {own, *mine} if case is not None and (stamp := _stamp(case)) is not None}
+        built = [case for case in mine if case in stamps]
+        if not built or own in built:
+            return own
+        newest = max(built, key=lambda case: (stamps[case], case.name))
+        # what was built at the new name since then, by whom ever, is what the recipe says now
+        return own if own is not None and stamps.get(own, 0) > stamps[newest] else newest
 
     def _remember(self, case: Path, sha256: str | None, places: dict[str, tuple[PointMm, ...]]) -> None:
         """Which recipe a case was built from, and the places of its warnings: for the next start too."""
@@ -269,11 +284,28 @@ class Building:
         self._outcome, self._built_from = outcome_of(case, places), sha256
         if self._outcome is None:
             return
-        note = _Note(bundle_sha256=self._outcome.sha256, recipe_sha256=sha256, places_mm=places)
+        built, recipe = self._outcome.sha256, self._recipe_key()
+        note = _Note(bundle_sha256=built, recipe_sha256=sha256, places_mm=places, recipe=recipe)
         with contextlib.suppress(OSError):
             file = self._note_file(case)
             file.parent.mkdir(parents=True, exist_ok=True)
             atomic_write(file, note.model_dump_json().encode())
+
+    def _recipe_key(self) -> str:
+        """What tells recipes apart whose cases are built in one folder, also after all of it was moved."""
+        try:
+            place = os.path.relpath(self._recipe.resolve(), self._out.resolve())
+        except ValueError:
+            # on another drive
+            place = str(self._recipe.resolve())
+        return hashlib.sha256(place.encode("utf-8", "surrogateescape")).hexdigest()
+
+    def _notes(self) -> Iterator[tuple[Path, _Note]]:
+        """All cases of which something is remembered."""
+        for file in sorted(self._note_file(self._out / "any.case").parent.glob(f"*{_NOTE_ENDING}")):
+            case = self._out / f"{file.name.removesuffix(_NOTE_ENDING)}.case"
+            if (note := self._noted(case)) is not None:
+                yield case, note
 
     def _noted(self, case: Path) -> _Note | None:
         try:
@@ -282,7 +314,7 @@ class Building:
             return None
 
     def _note_file(self, case: Path) -> Path:
-        return self._out / ".heartcase-cache" / "studio" / f"{case.stem}.built.json"
+        return self._out / ".heartcase-cache" / "studio" / f"{case.stem}{_NOTE_ENDING}"
 
     def _recipe_hash(self) -> str | None:
         try:
@@ -296,10 +328,7 @@ class Building:
         stamps: dict[Path, tuple[int, int] | None] = {}
         for case in cases:
             if case is not None:
-                stamps[case] = None
-                with contextlib.suppress(OSError):
-                    found = (case / MANIFEST_NAME).stat()
-                    stamps[case] = found.st_mtime_ns, found.st_size
+                stamps[case] = _stamp(case)
         return stamps
 
     def _is_case_new(self, case: Path) -> bool:
@@ -369,3 +398,12 @@ class Building:
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+
+def _stamp(case: Path) -> tuple[int, int] | None:
+    """When a case was replaced last, and its size; None where there is none."""
+    try:
+        found = (case / MANIFEST_NAME).stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size

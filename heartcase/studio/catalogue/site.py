@@ -35,7 +35,11 @@ from heartcase.studio.catalogue.words import INTERFACE_LANGUAGES
 from heartcase.studio.offline.pictures import case_pictures
 from heartcase.studio.offline.shown import shown_of
 from heartcase.studio.offline.surfaces import middle_level, surface_of
+from heartcase.studio.offline.toured import tours_of
 from heartcase.studio.offline.web_page import case_script, linked_page, viewer_script, viewer_style
+from heartcase.studio.operating.scene.normal_map import load_normal_map
+from heartcase.studio.sample_folder import sample_folder
+from heartcase.studio.touring.found_tours import tours_sha256
 
 __all__ = ["CatalogueResult", "write_catalogue"]
 
@@ -116,6 +120,10 @@ class _Run:
     languages: tuple[str, ...]
     say: Callable[[str], None]
 
+    def __post_init__(self) -> None:
+        folders = [self.cases] if (samples := sample_folder()) is None else [self.cases, samples]
+        self._tours = tours_sha256(folders)
+
     def write(
         self, folders: dict[str, Path]
     ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, tuple[Problem, ...]]]:
@@ -174,6 +182,7 @@ class _Run:
             return ""
         report = (self.cases / f"{name}.report.html").is_file()
         what = [_code(), self.languages, self._to_cases(), sizes, report, hashlib.sha256(manifest).hexdigest()]
+        what.append(self._tours)
         return hashlib.sha256(json.dumps(what).encode()).hexdigest()
 
     def _to_cases(self) -> str:
@@ -210,7 +219,9 @@ class _Run:
     def _viewer_of(self, entry: Entry) -> dict[str, bytes]:
         """The page that shows a case in 3-D, and the case for it."""
         level = middle_level(entry.bundle)
-        case = load_case(entry.bundle.directory, needs=("surface", "cell_labels"), level=level)
+        path = entry.bundle.directory
+        case = load_case(path, needs=("surface", "structures", "tissue", "cell_labels"), level=level)
+        assert case.surface is not None
         page = linked_page(
             style="../assets/viewer.css",
             script="../assets/viewer.js",
@@ -218,7 +229,9 @@ class _Run:
             back=f"../cases/{address(entry.name)}.html",
             back_word="offline_back",
         )
-        data = case_script(case, shown_of(entry.bundle, level))
+        tours, _ = tours_of(case, path, does_acts=False)
+        normal_map = load_normal_map(path, case.surface, level)
+        data = case_script(case, shown_of(entry.bundle, level), tours=tours, normal_map=normal_map)
         return {f"view/{entry.name}.html": page, f"view/{entry.name}.js": data}
 
     def _write_site(self, pages: Ledger, ledgers: Ledger) -> None:

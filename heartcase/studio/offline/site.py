@@ -34,6 +34,7 @@ from heartcase.studio.offline.bundling import bundled_script
 from heartcase.studio.offline.pictures import SMALL_SIZE, small_picture
 from heartcase.studio.offline.shown import shown_of
 from heartcase.studio.offline.surfaces import middle_level, surface_of
+from heartcase.studio.offline.toured import tours_of
 from heartcase.studio.offline.web_page import (
     FRAMES_PER_SECOND,
     LINKED_POLICY,
@@ -45,6 +46,7 @@ from heartcase.studio.offline.web_page import (
     viewer_script,
     viewer_style,
 )
+from heartcase.studio.operating.scene.normal_map import load_normal_map
 
 if TYPE_CHECKING:
     import jinja2
@@ -66,6 +68,8 @@ class SiteCase:
     """Its folder, ``NAME.case``."""
     recordings: Callable[[Case], Sequence[Recorded]] = lambda case: ()
     """Makes the recordings that its page plays, from the case as it is loaded."""
+    has_tours: bool = True
+    """Whether its page has its guided tours."""
 
     @property
     def name(self) -> str:
@@ -127,7 +131,8 @@ def write_site(
         cards = []
         for case, bundle in zip(cases, opened, strict=True):
             say(case.name)
-            _write_case(site, case, bundle, level, frames_per_second)
+            problems = _write_case(site, case, bundle, level, frames_per_second)
+            warnings += [f"{case.name}: {problem}" for problem in problems]
             cards.append(_card(case, bundle, site.sizes[f"cases/{case.name}.js"]))
             about = bundle.manifest.about
             if about is not None and about.refusal is not None:
@@ -243,16 +248,29 @@ def _put(temporary: Path, out: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _write_case(site: _Files, case: SiteCase, bundle: OpenBundle, level: int | None, frames_per_second: float) -> None:
+def _write_case(
+    site: _Files, case: SiteCase, bundle: OpenBundle, level: int | None, frames_per_second: float
+) -> tuple[Problem, ...]:
+    """Write its page; what is wrong with its tours."""
     if level is not None:
         bundle.surface_role(level, place="--level")
     elif not bundle.levels:
         bundle.surface_role(0)
     shown_level = middle_level(bundle) if level is None else level
-    loaded = load_case(case.path, needs=("surface", "tissue", "cell_labels"), level=shown_level)
+    loaded = load_case(case.path, needs=("surface", "structures", "tissue", "cell_labels"), level=shown_level)
+    assert loaded.surface is not None
     played = case.recordings(loaded)
-    shown = shown_of(bundle, shown_level)
-    site.write(f"cases/{case.name}.js", case_script(loaded, shown, played, frames_per_second=frames_per_second))
+    # what a step does would take minutes for each case
+    tours, problems = tours_of(loaded, case.path, does_acts=False) if case.has_tours else ([], ())
+    script = case_script(
+        loaded,
+        shown_of(bundle, shown_level),
+        played,
+        tours=tours,
+        normal_map=load_normal_map(case.path, loaded.surface, shown_level),
+        frames_per_second=frames_per_second,
+    )
+    site.write(f"cases/{case.name}.js", script)
     page = linked_page(
         style="../assets/viewer.css",
         script="../assets/viewer.js",
@@ -263,6 +281,7 @@ def _write_case(site: _Files, case: SiteCase, bundle: OpenBundle, level: int | N
     site.write(f"cases/{case.name}.html", page)
     finest = surface_of(bundle, min(bundle.levels))
     site.write(f"pictures/{case.name}.webp", small_picture(finest, bundle.manifest.labels))
+    return problems
 
 
 def _card(case: SiteCase, bundle: OpenBundle, byte_count: int) -> dict[str, Any]:

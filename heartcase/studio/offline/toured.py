@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from heartcase.schemas.errors import HeartcaseError, Problem
@@ -15,9 +16,10 @@ from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.touring.case_places import CasePlaces
 from heartcase.simulator.touring.running import run_timed
 from heartcase.simulator.touring.staging import timed_commands
-from heartcase.studio.touring.found_tours import ShownTour
+from heartcase.studio.sample_folder import sample_folder
+from heartcase.studio.touring.found_tours import ShownTour, find_tours, tour_folders
 
-__all__ = ["Toured"]
+__all__ = ["Toured", "tours_of"]
 
 _EVERY_S = 0.04
 """Simulated time from picture to picture, s: played slower than it is, so that it can be followed."""
@@ -33,12 +35,16 @@ class Toured:
         The tour.
     case
         The case, loaded with surface, structures and tissue.
+    does_acts
+        Whether what its steps do is done; else the page shows what they show, and says so.
     """
 
     tour: ShownTour
     """The tour."""
     case: Case
     """The case."""
+    does_acts: bool = True
+    """Whether what its steps do is done."""
     ends: list[int] = field(default_factory=list)
     """For each step, how many of the moments are over at its end; shorter where a step could not be done."""
     problems: list[Problem] = field(default_factory=list)
@@ -46,7 +52,7 @@ class Toured:
 
     def moments(self) -> Iterator[LiveFrame]:
         """All moments, from the start on; ``ends`` and ``problems`` are known when they have been taken."""
-        if not any(step.acts for step in self.tour.tour.steps):
+        if not (self.does_acts and any(step.acts for step in self.tour.tour.steps)):
             return
         case = self.case
         session, places = OperatingSession(simulation_of_case(case)), CasePlaces(case)
@@ -73,3 +79,19 @@ class Toured:
     def as_data(self) -> dict[str, Any]:
         """What the page is told of it, beside its moments."""
         return self.tour.as_data() | {"ends": self.ends}
+
+
+def tours_of(case: Case, path: Path, *, does_acts: bool = True) -> tuple[list[Toured], tuple[Problem, ...]]:
+    """The tours of a case, beside it and of those that come with heartcase, and what is wrong with others beside it.
+
+    Parameters
+    ----------
+    case
+        The case, loaded with surface, structures and tissue.
+    path
+        Its folder.
+    does_acts
+        As of :class:`Toured`.
+    """
+    found = find_tours(CasePlaces(case), tour_folders(path, case.manifest.name), sample_folder())
+    return [Toured(one, case, does_acts) for one in found.shown], found.problems

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.arrays import UInt8
 from heartcase.simulator.case_simulation import DAMPING_PER_S
 from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.live.shapes import CUT_FACES, Structures
@@ -29,11 +28,20 @@ from heartcase.simulator.load import Case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
 from heartcase.studio.offline.bundling import bundled_script
+from heartcase.studio.offline.following import hung_points
 from heartcase.studio.offline.shown import Shown
 from heartcase.studio.offline.spring_arrays import spring_arrays
 from heartcase.studio.offline.toured import Toured
 from heartcase.studio.operating.scene.cell_labels import CellLabels
-from heartcase.studio.operating.scene.packing import SCALE_LEAST, Rounded, frame_message, packed, topology_message
+from heartcase.studio.operating.scene.normal_map import NormalMap
+from heartcase.studio.operating.scene.packing import (
+    SCALE_LEAST,
+    Rounded,
+    frame_message,
+    packed,
+    picture_message,
+    topology_message,
+)
 from heartcase.studio.operating.viewer import described, patch_arrays
 
 __all__ = [
@@ -76,6 +84,7 @@ def web_page(
     recordings: Sequence[Recorded] = (),
     *,
     tours: Sequence[Toured] = (),
+    normal_map: NormalMap | None = None,
     frames_per_second: float = FRAMES_PER_SECOND,
 ) -> bytes:
     """The file of a case.
@@ -90,10 +99,12 @@ def web_page(
         Recordings of it.
     tours
         Guided tours of it.
+    normal_map
+        That of the surface, where the case has one.
     frames_per_second
         How many moments of a recording make a second of its simulated time.
     """
-    data = _case_data(case, shown, recordings, frames_per_second, tours)
+    data = _case_data(case, shown, recordings, frames_per_second, tours, normal_map)
     style, script = viewer_style(), viewer_script()
     policy = "; ".join(
         [
@@ -138,13 +149,19 @@ def linked_page(*, style: str, script: str, case: str, back: str, back_word: str
 
 
 def case_script(
-    case: Case, shown: Shown, recordings: Sequence[Recorded] = (), *, frames_per_second: float = FRAMES_PER_SECOND
+    case: Case,
+    shown: Shown,
+    recordings: Sequence[Recorded] = (),
+    *,
+    tours: Sequence[Toured] = (),
+    normal_map: NormalMap | None = None,
+    frames_per_second: float = FRAMES_PER_SECOND,
 ) -> bytes:
     """A script that hands a case to a page beside it: from a folder, a browser loads scripts but no data.
 
     The parameters are those of :func:`web_page`.
     """
-    data = _case_data(case, shown, recordings, frames_per_second)
+    data = _case_data(case, shown, recordings, frames_per_second, tours, normal_map)
     return f'globalThis.heartcaseData = "{data}";\n'.encode("ascii")
 
 
@@ -165,31 +182,36 @@ def _case_data(
     shown: Shown,
     recordings: Sequence[Recorded],
     frames_per_second: float,
-    tours: Sequence[Toured] = (),
+    tours: Sequence[Toured],
+    normal_map: NormalMap | None,
 ) -> str:
     """What the page takes of a case, compressed, as text."""
     structures = Structures(case.manifest, shown.of_triangles)
     labels = None if case.cell_labels is None else CellLabels(case)
     start = moment_of(OperatingSession(Simulation(case.model, surface=case.surface)))
     parts = _Parts()
-    topology = topology_message(1, start, structures.of(start), cell_labels=_of(labels, start))
-    first = [parts.number(topology), parts.number(_springs(case))]
-    first += [parts.number(_vessel(shown, name)) for name in shown.vessels]
+    drawn = _Drawn(structures, labels, normal_map)
+    first = [parts.number(drawn.topology(1, start)), parts.number(_springs(case))]
+    first += [parts.number(_vessel(case, shown, name)) for name in shown.vessels]
+    points = [point for one in shown.landmarks for point in one["points"]]
+    picture = None if normal_map is None else parts.number(picture_message(normal_map))
+    hung = parts.number(packed({"kind": "landmarks"}, hung_points(case.model, points)))
     table = [
         {
             "name": recording.name,
-            "parts": [parts.number(one) for one in _messages(recording.moments, structures, labels)],
+            "parts": [parts.number(one) for one in _messages(recording.moments, drawn)],
         }
         for recording in recordings
     ]
     toured = [
-        {"parts": [parts.number(part) for part in _messages(one.moments(), structures, labels)]} | one.as_data()
-        for one in tours
+        {"parts": [parts.number(part) for part in _messages(one.moments(), drawn)]} | one.as_data() for one in tours
     ]
     contents = {
         "facts": _facts(case, shown, structures, frames_per_second),
         "lengths": [len(part) for part in parts.all],
         "case": first,
+        "landmarks": hung,
+        "normal_map": picture,
         "recordings": table,
         "tours": toured,
     }
@@ -232,25 +254,35 @@ def _springs(case: Case) -> bytes:
     return packed({"kind": "springs", "facts": facts}, found)
 
 
-def _vessel(shown: Shown, name: str) -> bytes:
+def _vessel(case: Case, shown: Shown, name: str) -> bytes:
     tube = shown.vessels[name]
     number = next(one["value"] for one in shown.structures if one["part"] == "vessel" and one["name"] == name)
-    arrays = {"vertices": tube.vertices_mm, "normals": tube.normals, "triangles": tube.triangles.astype(np.uint32)}
-    return packed({"kind": "vessel", "structure": number}, arrays)
+    arrays = {"normals": tube.normals, "triangles": tube.triangles.astype(np.uint32)}
+    return packed({"kind": "vessel", "structure": number}, arrays | hung_points(case.model, tube.vertices_mm))
 
 
-def _of(labels: CellLabels | None, moment: LiveFrame) -> UInt8 | None:
-    return None if labels is None else labels.of(moment.frame.model)
+@dataclass(frozen=True)
+class _Drawn:
+    """What tells how the surface of a moment is drawn."""
+
+    structures: Structures
+    labels: CellLabels | None
+    normal_map: NormalMap | None
+
+    def topology(self, number: int, moment: LiveFrame) -> bytes:
+        """The surface of a moment, as a page takes it."""
+        labels = None if self.labels is None else self.labels.of(moment.frame.model)
+        return topology_message(number, moment, self.structures.of(moment), self.normal_map, labels)
 
 
-def _messages(moments: Iterable[LiveFrame], structures: Structures, labels: CellLabels | None) -> list[bytes]:
+def _messages(moments: Iterable[LiveFrame], drawn: _Drawn) -> list[bytes]:
     """Topologies and frames of some moments, as a page that has shown none of them takes them."""
     found: list[bytes] = []
     shown, sent, number = None, None, 0
     for moment in moments:
         if shown is None or moment.surface is not shown.surface or moment.frame.model is not shown.frame.model:
             number += 1
-            found.append(topology_message(number, moment, structures.of(moment), cell_labels=_of(labels, moment)))
+            found.append(drawn.topology(number, moment))
             if shown is None or moment.frame.model.node_count != shown.frame.model.node_count:
                 sent = None
         rounded = Rounded.of(moment.frame.state.displacement, SCALE_LEAST if sent is None else sent.scale)

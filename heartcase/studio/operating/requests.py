@@ -230,9 +230,13 @@ class Slice(_Asked):
     """To the picture's right, LPS, unit length."""
     down: Direction
     """Down the picture, LPS, unit length."""
+    window: tuple[float, float] | None = None
+    """Intensities that are black and white; those that the scan is shown with at first when left out."""
 
     @model_validator(mode="after")
     def _is_a_plane(self) -> Slice:
+        if self.window is not None and not self.window[0] < self.window[1]:
+            raise ValueError("black is below white")
         if np.abs([self.point_mm, self.right, self.down]).max() > _FAR_MM:
             raise ValueError(f"a slice is at most {_FAR_MM:g} mm away")
         axes = np.array([self.right, self.down])

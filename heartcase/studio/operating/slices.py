@@ -79,7 +79,8 @@ class SliceServing:
         if self._scan is None or self._scan[:2] != (stage, recipe):
             self._scan = None
             self._scan = stage, recipe, open_scan(self._case, recipe)
-        shown = self._scan[2].through(request.point_mm, request.right, request.down)
+        scan = self._scan[2]
+        shown = scan.through(request.point_mm, request.right, request.down, request.window)
         header = {
             "kind": "slice",
             "name": request.name,
@@ -88,5 +89,7 @@ class SliceServing:
             "down": request.down,
             "width_mm": shown.width_mm,
             "height_mm": shown.height_mm,
+            "window": request.window or scan.window,
+            "range": scan.range,
         }
         return packed(header, {"greys": shown.greys})

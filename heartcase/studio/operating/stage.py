@@ -34,7 +34,7 @@ from heartcase.studio.operating.scene.cell_labels import CellLabels
 from heartcase.studio.operating.scene.coarser import CoarseLevel, CoarserWorker, load_coarser
 from heartcase.studio.operating.scene.heart_axes import heart_axes
 from heartcase.studio.operating.scene.normal_map import NormalMap, load_normal_map
-from heartcase.studio.operating.scene.packing import packed, stretch_bytes
+from heartcase.studio.operating.scene.packing import picture_message, stretch_bytes
 from heartcase.studio.operating.scene.surroundings import cannulae
 
 __all__ = ["Stage", "open_stage"]
@@ -379,9 +379,7 @@ class Stage:
 
     def picture_message(self) -> bytes | None:
         """The normal map's picture for a page; None where the case has none."""
-        if self.normal_map is None:
-            return None
-        return packed({"kind": "normal_map"}, {"png": np.frombuffer(self.normal_map.png, np.uint8)})
+        return None if self.normal_map is None else picture_message(self.normal_map)
 
     def _free_paths(self) -> Iterator[Path]:
         """Where a recording may be put, the first one first."""

@@ -38,6 +38,7 @@ from heartcase.studio.operating.stage import Stage, open_stage
 from heartcase.studio.operating.tour_leading import TourLeading
 from heartcase.studio.operating.viewer import Viewer
 from heartcase.studio.pages import Page
+from heartcase.studio.touring.found_tours import tour_folders
 
 __all__ = ["Origin", "Theatre"]
 
@@ -105,8 +106,8 @@ class Theatre:
         self._freed: str | None = None
         self._device_page: Page | None = None
 
-    def _tour_folders(self) -> tuple[Path, ...]:
-        return (self._case.parent, *(() if self.origin is None else (self.origin.recipe.parent,)))
+    def _tour_folders(self, name: str) -> list[Path]:
+        return tour_folders(self._case, name) + ([] if self.origin is None else [self.origin.recipe.parent])
 
     async def join(self, page: Page) -> None:
         """Show a page the case, and then each moment."""

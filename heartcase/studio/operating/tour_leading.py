@@ -25,7 +25,7 @@ class TourLeading:
     Parameters
     ----------
     folders
-        Tells where tours of the case may stand.
+        Tells where tours of the case of a name may stand.
     problems_of
         What a page is told of an error.
     begin
@@ -34,7 +34,7 @@ class TourLeading:
 
     def __init__(
         self,
-        folders: Callable[[], tuple[Path, ...]],
+        folders: Callable[[str], list[Path]],
         problems_of: Callable[[BaseException], list[dict[str, str]]],
         begin: Callable[[Stage], Awaitable[None]],
     ) -> None:
@@ -51,7 +51,7 @@ class TourLeading:
     def listed(self, stage: Stage) -> dict[str, Any]:
         """The tours of a stage's case, read anew; what is wrong with others."""
         places = CasePlaces(stage.case)
-        found = find_tours(places, self._folders(), sample_folder())
+        found = find_tours(places, self._folders(stage.case.manifest.name), sample_folder())
         if stage is not self._stage or self._found is None or found != self._found:
             self._stage, self._found, self._guide = stage, found, Guide(places)
         return {

@@ -75,7 +75,7 @@ class Viewer:
         if self.hands.needs_hit:
             newest = self._stage.live.newest
             hit = self._first_hit(ray, newest)
-        return Pointer(ray, hit, np.array(look.axes))
+        return Pointer(ray, hit, np.array(look.axes), self._plane)
 
     def met_mm(self, look: Look) -> Float64 | None:
         """Where a look meets the heart, LPS mm, shape (3,); None where it does not."""

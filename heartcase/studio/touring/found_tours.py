@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from heartcase.schemas.errors import HeartcaseError, Problem
+from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.touring.reading import TOUR_ENDING, load_tour
 from heartcase.schemas.touring.tour import Tour
 from heartcase.simulator.touring.case_places import CasePlaces
 from heartcase.simulator.touring.staging import StagedScene, staged_scenes
 
-__all__ = ["FoundTours", "ShownTour", "find_tours"]
+__all__ = ["FoundTours", "ShownTour", "find_tours", "tour_folders", "tours_sha256"]
 
 _MOST = 20
 """Tours of a case that are shown at most."""
 _LOOKED_AT_MAX = 2000
-"""Tours that are looked at in a folder, at most."""
+"""Tours, or recipes, that are looked at in a folder, at most."""
+_RECIPE_START = 4096
+"""Bytes of a file in which a recipe says that it is one."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,46 @@ def find_tours(places: CasePlaces, folders: Iterable[Path], samples: Path | None
             if is_own:
                 problems += error.problems
     return FoundTours(tuple(shown), tuple(problems))
+
+
+def tour_folders(case: Path, name: str) -> list[Path]:
+    """Where tours of a case may stand: its own folder, and the one above where a recipe of the case's name lies there.
+
+    Parameters
+    ----------
+    case
+        The case's folder.
+    name
+        Its name.
+    """
+    folder = case.resolve().parent
+    return [folder, folder.parent] if _has_recipe(folder.parent, name) else [folder]
+
+
+def _has_recipe(folder: Path, name: str) -> bool:
+    try:
+        paths = sorted(one for one in folder.iterdir() if one.suffix == ".toml" and one.is_file())
+    except OSError:
+        return False
+    for path in paths[:_LOOKED_AT_MAX]:
+        with contextlib.suppress(HeartcaseError, OSError, ValueError):
+            with path.open("rb") as file:
+                head = file.read(_RECIPE_START)
+            if b"heartcase_recipe" not in head:
+                continue
+            if parse_recipe(read_recipe_text(path), needs_markers=False).name.lower() == name.lower():
+                return True
+    return False
+
+
+def tours_sha256(folders: Iterable[Path]) -> str:
+    """Hash of all tours in some folders: what is made with them is as new as they are where it stays the same."""
+    digest = hashlib.sha256()
+    for folder in folders:
+        for path in _tours_in(folder):
+            with contextlib.suppress(OSError):
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def _tours_in(folder: Path) -> Iterator[Path]:

@@ -116,16 +116,16 @@ class Guide:
 
     def _is_there(self, live: Live) -> bool:
         """Whether the session is where the last step left it, but for time that went by."""
-        entries = live.session.entries[: live.session.position]
+        entries, position = live.session.entries, live.session.position
         at = self._found(live, self._reached[-1].mark)
-        if at is None or at >= len(entries) or live.newest.frame.coming_cuts:
+        if at is None or at >= position or live.newest.frame.coming_cuts:
             return False
-        return not any(isinstance(entry.command, (*_OWN, Halt)) for entry in entries[at + 1 :])
+        return not entries.has_any((*_OWN, Halt), at + 1, position)
 
     def _found(self, live: Live, mark: str) -> int | None:
         """Place of a mark in what the session knows."""
-        entries = list(live.session.entries)
-        for number in range(len(entries) - 1, -1, -1):
+        entries = live.session.entries
+        for number in reversed(entries.places_of(Mark)):
             command = entries[number].command
             if isinstance(command, Mark) and command.name == mark:
                 return number

@@ -24,6 +24,7 @@ from heartcase.schemas.recording.commands import (
     Undo,
     parse_command,
 )
+from heartcase.schemas.recording.kept_entries import KeptEntries
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.snapshots import Snapshots
@@ -43,6 +44,7 @@ def test_going_back_and_on_again_gives_the_same_bytes(backend, data):
     sleep_mm = data.draw(st.sampled_from([0.0, 0.2]))
     every_s = data.draw(st.sampled_from([0.0, 0.01, float("inf")]))
     session = OperatingSession(block_simulation(law, backend=backend, sleep_mm=sleep_mm), snapshot_every_s=every_s)
+    session.entries = KeptEntries(block=data.draw(st.sampled_from([1, 3, 512])))
     known = {0: fingerprint(session.simulation)}
     for command in sequence:
         before, place, was_on_the_way = fingerprint(session.simulation), session.position, session.is_on_the_way

@@ -35,6 +35,7 @@ from heartcase.schemas.recording.commands import (
     parse_command,
 )
 from heartcase.schemas.recording.header import HEADER_NAME, LOG_NAME, header_hash
+from heartcase.schemas.recording.kept_entries import KeptEntries
 from heartcase.schemas.recording.log import opened, sealed
 from heartcase.schemas.recording.reader import check_recording, open_recording
 from heartcase.simulator.engine.cpu import chunks
@@ -132,6 +133,7 @@ def test_whatever_is_done_is_repeated(tmp_path, data):
     path = tmp_path / "any.recording"
     shutil.rmtree(path, ignore_errors=True)
     session = OperatingSession(block_simulation(sleep_mm=data.draw(st.sampled_from([0.0, 0.2]))))
+    session.entries = KeptEntries(block=data.draw(st.sampled_from([1, 3, 512])))
     start = data.draw(st.integers(0, 6))
     recorder = None
     for number, command in enumerate(data.draw(st.lists(commands(), min_size=3, max_size=20))):

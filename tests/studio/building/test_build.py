@@ -22,6 +22,7 @@ from heartcase.schemas.bundle.approval import approval_state, bundle_sha256
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.files import TEMPORARY_PREFIX
+from heartcase.studio.building.building import Building
 from heartcase.studio.building.outcome import outcome_of
 from heartcase.studio.building.process import BuildProcess
 from tests.ball import write_ball_recipe, write_ball_scan
@@ -131,6 +132,16 @@ def test_a_case_of_a_recipe_that_was_renamed_is_the_one_that_is_shown_opened_and
         told.ask(do="approve", role="consultant cardiologist", sha256=sha256, has_looked=True)
     assert approval_state(case).state == "approved"
     assert approval_state(other).state == "draft"
+    # after a restart too, wherever the new name leads
+    for name in ("nowhere", "other"):
+        copy.write_text(re.sub(r'^name = ".*"$', f'name = "{name}"', copy.read_text(), count=1, flags=re.MULTILINE))
+        with studio(copy) as browser, building(browser) as told:
+            assert (told.first["age"], told.first["case"]["name"]) == ("older", "ball")
+    # but for what was built there since
+    (other / "case.json").touch()
+    with studio(copy) as browser, building(browser) as told:
+        assert told.ask(do="operate")["address"] != at_first
+        assert told.first["age"] == "unknown"
 
 
 def test_a_case_of_unknown_recipe_is_told_as_that(copy):
@@ -291,3 +302,36 @@ def test_a_case_with_odd_figures_is_none(copy, monkeypatch):
     changed = SimpleNamespace(manifest=odd.manifest.model_copy(update={"quality": quality}))
     monkeypatch.setattr("heartcase.studio.building.outcome.open_bundle", lambda path: changed)
     assert outcome_of(case) is None
+
+
+def test_which_case_a_renamed_recipe_begins_with(tmp_path):
+    """That of its last build, until another lies at its new name that is newer; never one that another recipe built."""
+    recipe, out = tmp_path / "mine.toml", tmp_path / "out"
+
+    def case(name, when, by=None):
+        (out / f"{name}.case").mkdir(parents=True, exist_ok=True)
+        (out / f"{name}.case" / "case.json").write_text("{}")
+        os.utime(out / f"{name}.case" / "case.json", (when, when))
+        if by is not None:
+            builder = Building(tmp_path / by, out=out, operate=str)
+            note = builder._note_file(out / f"{name}.case")
+            note.parent.mkdir(parents=True, exist_ok=True)
+            told = {"bundle_sha256": "", "recipe_sha256": None, "places_mm": {}, "recipe": builder._recipe_key()}
+            note.write_text(json.dumps(told))
+        return out / f"{name}.case"
+
+    def begins_with(name):
+        return Building(recipe, out=out, operate=str)._built_before(out / f"{name}.case")
+
+    assert begins_with("new") == out / "new.case"
+    case("others", 500, by="others.toml")
+    old = case("old", 100, by="mine.toml")
+    assert begins_with("new") == begins_with("old") == begins_with("others.case") == old
+    case("older", 50, by="mine.toml")
+    assert begins_with("new") == old
+    new = case("new", 90)
+    assert begins_with("new") == old
+    os.utime(new / "case.json", (101, 101))
+    assert begins_with("new") == new
+    case("new", 90, by="mine.toml")
+    assert begins_with("new") == new

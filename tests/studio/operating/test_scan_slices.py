@@ -67,8 +67,12 @@ def test_a_voxel_lies_between_its_corners():
     _, geometry = image_of(values, OBLIQUE)
     right, down = OBLIQUE[:, 0], OBLIQUE[:, 1]
     slices = ScanSlices(values, geometry)
-    slices._between = (0.0, 100.0)
-    shown = slices.through(geometry.index_to_world(np.array([0.0, 0.0, 4.0])), right, down)
+    assert slices.range == (0.0, 100.0)
+    middle = geometry.index_to_world(np.array([0.0, 0.0, 4.0]))
+    shown = slices.through(middle, right, down, (0.0, 100.0))
+    # grey runs from black to white evenly
+    narrow = slices.through(middle, right, down, (25.0, 75.0)).greys[..., 0].astype(int)
+    np.testing.assert_allclose(narrow, np.clip(2.0 * shown.greys[..., 0] - 127.5, 0, 255), atol=1.6)
     # linear between voxels: half of the grey is at the voxel's faces
     rows, columns = np.nonzero(shown.greys[..., 0] >= 128)
     pixel = shown.width_mm / shown.greys.shape[1]
@@ -101,6 +105,10 @@ def test_a_case_that_was_opened_from_its_recipe_shows_its_scan_and_leads_back(tm
             pixel = header["width_mm"] / greys.shape[1]
             column, row = ((bright - header["origin_mm"])[:2] / pixel).astype(int)
             assert greys[row, column, 0] > 2 * np.median(greys[..., 0][greys[..., 1] == 255])
+            assert header["range"][0] <= header["window"][0] < header["window"][1] <= header["range"][1]
+            assert page.ask("slice", name="axial", **plane, window=[5, 5])["kind"] == "refused"
+            page.done("slice", name="axial", **plane, window=[5, 50])
+            assert page.slices["axial"][0]["window"] == [5, 50]
             answer = page.ask("slice", name="axial", **(plane | {"down": [0, 1, 1]}))
             assert answer["kind"] == "refused"
         # a scan that became another one is not shown as that of the case

@@ -168,6 +168,16 @@ def test_what_a_plane_cuts_away_cannot_be_pointed_at(operated):
         page.done("cut_open", plane=None)
         assert page.at("press", (22.0, -14.0, 40.5))["used"]
         page.at("release", (22.0, -14.0, 40.5))
+        page.until(lambda frame: not frame["instruments"])
+        # nor is a stitch taken out that lies beyond it
+        places = [[20.0, -14.0, 40.5], [24.0, -14.0, 40.5]]
+        page.done("command", command={"kind": "place_stitch", "name": "thread", "places_mm": places})
+        page.until(lambda frame: frame["stitches"])
+        page.done("cut_open", plane={"normal": [0, 0, 1], "point_mm": [0, 0, 35.0]})
+        assert not page.at("let_go", (22.0, -14.0, 40.5))["used"]
+        page.done("cut_open", plane=None)
+        assert page.at("let_go", (22.0, -14.0, 40.5))["used"]
+        page.until(lambda frame: not frame["stitches"])
         page.socket.send_json({"do": "cut_open", "id": 999, "plane": {"normal": [0, 0, 0], "point_mm": [0, 0, 0]}})
         assert page.hear("refused")["id"] == 999
         page.done("take", tool="")

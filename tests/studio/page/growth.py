@@ -50,8 +50,8 @@ def operate(case: Path, seconds: float, browser, *, every_s: float = 5.0, say=pr
         server = psutil.Process(process.pid)
         tab = browser.new_page(viewport={"width": 800, "height": 600})
         inside = tab.context.new_cdp_session(tab)
-        tab.goto(address)
-        tab.locator("body[data-ready=true]").wait_for(timeout=300_000)
+        tab.goto(address, timeout=300_000)
+        tab.locator("body[data-ready=true]").wait_for(timeout=900_000)
         box = tab.locator("#scene").bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         began = told = time.monotonic()
@@ -64,6 +64,9 @@ def operate(case: Path, seconds: float, browser, *, every_s: float = 5.0, say=pr
                     tab.keyboard.press("u")
                     tab.wait_for_timeout(300)
                 tab.keyboard.press(" ")
+                # the second took back that a hand let go
+                tab.wait_for_timeout(300)
+                tab.keyboard.press("x")
             if rounds % 40 == 0:
                 tab.keyboard.press("v")
             if time.monotonic() - told >= every_s or not rows:

@@ -306,6 +306,12 @@ def test_slices_lie_where_the_scan_is_and_the_recipe_is_a_click_away(cut_open):
     until(lambda: len(tab.evaluate(slices)) == 2)
     tab.locator("#scan-sagittal-at").evaluate("(one) => { one.value = 18; one.dispatchEvent(new Event('input')); }")
     until(lambda: dict(tab.evaluate(slices))["sagittal"][0][0] == 18.0)
+    # level and width, by the same words as in Paint: as at first, and then with all of it white
+    assert tab.locator("#scan-level").is_enabled()
+    assert float(tab.locator("#scan-width").input_value()) > 0.0
+    shown = tab.locator("#scene").screenshot()
+    tab.locator("#scan-level").evaluate("(one) => { one.value = one.min; one.dispatchEvent(new Event('input')); }")
+    until(lambda: tab.locator("#scene").screenshot() != shown)
     # all of the scan is in the picture: it begins and ends where the scan's box does
     scan = scene.scan
     corner, right, down = (np.array(one) for one in dict(tab.evaluate(slices))["axial"])

@@ -35,6 +35,13 @@ PIXELS = """() => {
   return { sum, drawn: drawn / (data.length / 4) };
 }"""
 
+CAPS_ALONE = """(pattern) => {
+  const { heart } = heartcase.picture;
+  const looks = [...heartcase.facts.structures, ...heartcase.facts.inside];
+  heart.paint(looks.map(({ value, colour }) => ({ value, colour, pattern })), new Set());
+  heart.material.visible = false;
+}"""
+
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
@@ -136,6 +143,10 @@ def test_what_the_viewer_shows(chromium, site):
         tab.emulate_media(reduced_motion="reduce")
         assert "No WebGPU" in tab.inner_text("#engine") or tab.evaluate("() => heartcase.engine !== null")
         seen = tab.evaluate(PIXELS)
+        # lit by the normal map, which the file holds
+        plain = tab.evaluate(f"heartcase.picture.heart.uniforms.hasMap.value = false, ({PIXELS})()")
+        tab.evaluate("heartcase.picture.heart.uniforms.hasMap.value = true")
+        assert plain["sum"] != seen["sum"] == tab.evaluate(PIXELS)["sum"]
         tab.click("#tab-view")
         assert faults == []
         assert_accessible(tab, "view")
@@ -198,6 +209,10 @@ def test_what_the_viewer_shows(chromium, site):
         tab.mouse.click(box["x"] + at[0], box["y"] + at[1])
         assert "This is: " in tab.inner_text("#said")
         assert tab.inner_text("#said").endswith(("wall", "myocardium"))
+        # the walls that the plane cuts have the patterns of their blood too
+        caps = [tab.evaluate(f"({CAPS_ALONE})({pattern}) ?? ({PIXELS})()")["sum"] for pattern in (0, 1, 2)]
+        assert len(set(caps)) == 3
+        assert min(caps) > 0
         tab.locator("#cut-depth").evaluate("(one) => { one.value = one.min; one.dispatchEvent(new Event('input')); }")
         assert tab.evaluate("() => heartcase.picking.at(500, 350)") is None
 

@@ -144,6 +144,12 @@ def test_a_tour_in_a_page_without_a_server(chromium, tmp_path):
     tab.keyboard.press("m")
     until(lambda: nodes() > whole)
     opened = nodes()
+    # landmarks go with the tissue that is moved
+    there, rest = (
+        tab.evaluate(f"heartcase.{which}.flatMap((one) => one.points.flat())")
+        for which in ("marks.marks", "facts.landmarks")
+    )
+    assert np.abs(np.subtract(there, rest)).max() > 0.5
     # back: the lid is whole again; and on, over what is between
     tab.keyboard.press("q")
     until(lambda: nodes() == whole)
@@ -157,6 +163,20 @@ def test_a_tour_in_a_page_without_a_server(chromium, tmp_path):
     assert turned == later
     assert faults == []
     context.close()
+    # a site shows the tour, and says of what moves tissue that it does not
+    site = tmp_path / "site"
+    assert main(["export", str(tmp_path / "hollow.case"), "--web", "--out", str(site)]) == 0
+    tab = chromium.new_page(viewport={"width": 1366, "height": 768}, reduced_motion="reduce", locale="en-GB")
+    tab.goto((site / "cases/hollow.html").as_uri())
+    tab.locator("body[data-ready=true]").wait_for(timeout=60_000)
+    tab.locator("#tab-tour").click()
+    tab.get_by_role("button", name="Begin: 6 steps").click()
+    tab.keyboard.press("m")
+    assert tab.evaluate("heartcase.picture.plane.isOn")
+    assert "Here it is only shown" not in tab.inner_text("#panel-tour")
+    tab.keyboard.press("m")
+    tab.get_by_text("Here it is only shown").wait_for()
+    tab.close()
     bare = tmp_path / "bare.html"
     assert main(["export", str(tmp_path / "hollow.case"), "-o", str(bare), "--no-tours"]) == 0
     assert bare.stat().st_size < page.stat().st_size

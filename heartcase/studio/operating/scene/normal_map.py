@@ -63,15 +63,17 @@ class NormalMap:
         return found
 
 
-def load_normal_map(path: Path, uncut: SurfaceModel) -> NormalMap | None:
-    """The normal map of a case at its finest level; None where it has none.
+def load_normal_map(path: Path, uncut: SurfaceModel, level: int = 0) -> NormalMap | None:
+    """The normal map of a case at a level of detail; None where it has none.
 
     Parameters
     ----------
     path
         The case's folder.
     uncut
-        Its surface.
+        Its surface at that level.
+    level
+        The level; 0 is the finest.
 
     Raises
     ------
@@ -79,17 +81,18 @@ def load_normal_map(path: Path, uncut: SurfaceModel) -> NormalMap | None:
         The bundle is broken.
     """
     bundle = open_bundle(path)
-    if not bundle.has(FileRole.RENDER):
+    role = FileRole.RENDER.at(level)
+    if not bundle.has(role):
         return None
     try:
-        parts = _parts_of(bundle.path(FileRole.RENDER).read_bytes())
+        parts = _parts_of(bundle.path(role).read_bytes())
     except (KeyError, IndexError, ValueError, TypeError, AttributeError):
         # The model for other programs is not what is operated on: without it the surface is a little smoother.
         return None
     if parts is None:
         return None
     png, render_triangles, uv = parts
-    loaded = load_case(path, needs=("surface", "tangents")).surface
+    loaded = load_case(path, needs=("surface", "tangents"), level=level).surface
     assert loaded is not None
     welded = loaded.render_to_welded
     if len(uv) != len(welded) or len(render_triangles) != len(uncut.triangles):

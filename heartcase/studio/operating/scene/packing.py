@@ -29,6 +29,7 @@ __all__ = [
     "frame_message",
     "moved_blocks",
     "packed",
+    "picture_message",
     "stretch_bytes",
     "topology_message",
 ]
@@ -151,6 +152,11 @@ def topology_message(
         "direction": model.geometry.direction_matrix.tolist(),
     }
     return packed(header, arrays)
+
+
+def picture_message(normal_map: NormalMap) -> bytes:
+    """The picture of a normal map, as a page takes it."""
+    return packed({"kind": "normal_map"}, {"png": np.frombuffer(normal_map.png, np.uint8)})
 
 
 def coarse_message(number: int, coarse: CoarseLevel) -> bytes:

@@ -58,9 +58,18 @@ class ScanSlices:
             :: max(1, values.shape[0] // 64), :: max(1, values.shape[1] // 64), :: max(1, values.shape[2] // 64)
         ]
         low, high = (float(one) for one in np.percentile(sample, _SHOWN_PERCENT))
-        self._between = (low, high if high > low else low + 1.0)
+        self.window = (low, high if high > low else low + 1.0)
+        """Intensities that are black and white at first."""
+        self.range = (min(float(values.min()), low), max(float(values.max()), self.window[1]))
+        """The lowest and the highest intensity."""
 
-    def through(self, point_mm: npt.ArrayLike, right: npt.ArrayLike, down: npt.ArrayLike) -> ScanSlice:
+    def through(
+        self,
+        point_mm: npt.ArrayLike,
+        right: npt.ArrayLike,
+        down: npt.ArrayLike,
+        window: tuple[float, float] | None = None,
+    ) -> ScanSlice:
         """The slice through a point: all of the scan that lies in the plane.
 
         Parameters
@@ -69,6 +78,8 @@ class ScanSlices:
             A point of the plane, LPS mm, shape (3,).
         right, down
             Directions of the picture, LPS, unit length, at right angles, shape (3,).
+        window
+            Intensities that are black and white; as at first when left out.
         """
         geometry = self._geometry
         axes = np.array([right, down], dtype=float)
@@ -85,7 +96,7 @@ class ScanSlices:
         within_mm = (np.minimum(index + 0.5, size - 0.5 - index) * geometry.spacing_mm).min(axis=-1)
         inside = np.rint(255.0 * np.clip(0.5 + within_mm / pixel_mm, 0.0, 1.0))
         found = map_coordinates(self._values, np.moveaxis(index[..., ::-1], -1, 0), order=1, mode="nearest")
-        black, white = self._between
+        black, white = self.window if window is None else window
         grey = np.rint(255.0 * np.clip((found - black) / (white - black), 0.0, 1.0)).astype(np.uint8)
         greys = np.stack([grey, inside.astype(np.uint8)], axis=-1)
         return ScanSlice(greys, origin, columns * pixel_mm, rows * pixel_mm)

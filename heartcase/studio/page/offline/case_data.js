@@ -7,7 +7,8 @@ import { unpack } from "../shared/connection.js";
 /** @typedef {{name: string, parts: number[]}} Recording */
 /** A tour, which of the parts show what it does, and how many of their moments are over at the end of each step. */
 /** @typedef {import("../touring/tour_panel.js").Tour & {parts: number[], ends: number[]}} ToldTour */
-/** @typedef {{facts: Record<string, any>, parts: Package[], case: number[], recordings: Recording[], tours: ToldTour[]}} CaseData */
+/** `case` are the surface, the springs and the vessels; `landmarks` how these follow the tissue. */
+/** @typedef {{facts: Record<string, any>, parts: Package[], case: number[], landmarks: Package, normalMap: Package | null, recordings: Recording[], tours: ToldTour[]}} CaseData */
 
 /** A file that should lie beside the page does not. */
 export class NoCase extends Error {}
@@ -50,7 +51,7 @@ export async function readCase(text) {
   const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const data = await new Response(stream).arrayBuffer();
   const size = new DataView(data).getUint32(0, true);
-  const { facts, lengths, recordings, tours = [], case: first } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
+  const { facts, lengths, recordings, tours, case: first, landmarks, normal_map: normalMap } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
   let at = 4 + size;
   /** @type {Package[]} */
   const parts = [];
@@ -59,5 +60,5 @@ export async function readCase(text) {
     parts.push(await unpack(data.slice(at, at + length)));
     at += length;
   }
-  return { facts, parts, case: first, recordings, tours };
+  return { facts, parts, case: first, landmarks: parts[landmarks], normalMap: normalMap === null ? null : parts[normalMap], recordings, tours };
 }

@@ -1,23 +1,24 @@
 /** Where one looks from by buttons, and what is said of it: sides of the patient, turning, zooming. */
 
 import * as three from "../vendor/three/three.module.min.js";
+import { cross } from "../operating/camera.js";
+import { SIDES as DIRECTIONS } from "../section/plane.js";
 
 /** @typedef {import("../operating/camera.js").Camera} Camera */
 /** @typedef {import("../operating/camera.js").Vector} Vector */
 /** @typedef {[Vector, Vector, Vector]} Axes the picture's right, its top, the way to the eye */
 /** @typedef {"front" | "back" | "left" | "right" | "head" | "feet"} Side */
 
+/** What is up, seen from a side. @param {Vector} towards @returns {Vector} */
+const upOf = ([, , along]) => (along === 0 ? [0, 0, 1] : [0, -1, 0]);
 /** @type {Record<Side, Axes>} */
-export const SIDES = {
-  front: [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-  back: [[-1, 0, 0], [0, 0, 1], [0, 1, 0]],
-  left: [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
-  right: [[0, -1, 0], [0, 0, 1], [-1, 0, 0]],
-  head: [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-  feet: [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-};
+export const SIDES = /** @type {any} */ (
+  Object.fromEntries(Object.entries(DIRECTIONS).map(([side, towards]) => [side, [cross(upOf(towards), towards), upOf(towards), towards]]))
+);
 /** Sides that the axes of LPS lead to and come from. @type {readonly (readonly [Side, Side])[]} */
-const WAYS = [["left", "right"], ["back", "front"], ["head", "feet"]];
+const WAYS = /** @type {any} */ (
+  [0, 1, 2].map((axis) => [1, -1].map((sign) => Object.keys(DIRECTIONS).find((side) => DIRECTIONS[side][axis] === sign)))
+);
 /** As in the slices: left, right, posterior, anterior, superior, inferior. @type {Record<Side, string>} */
 const LETTERS = { left: "L", right: "R", back: "P", front: "A", head: "S", feet: "I" };
 const LEAST = 0.35;

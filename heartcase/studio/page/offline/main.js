@@ -15,6 +15,7 @@ import { SceneShower } from "../touring/scene.js";
 import { showTours } from "../touring/told_tour.js";
 import { caseText, NoCase, readCase } from "./case_data.js";
 import { Colouring, Lit } from "./colouring.js";
+import { followingOf } from "./following.js";
 import { Frame, LocalHands } from "./hands.js";
 import { Looking, SIDES, sidesOf } from "./looking.js";
 import { Marks } from "./marks.js";
@@ -31,7 +32,7 @@ const MOST_S = 1 / 30;
 /** Movement in a picture below which nothing moves any more [cells], and pictures of it after which steps end. */
 const STILL = 2e-4;
 const STILL_PICTURES = 20;
-/** Displacement below which a node is where it was [cells]. */
+/** Displacement below which a node is where it was [cells]: then vessels are lit as they are at rest. */
 const AT_REST = 0.05;
 /** What steps may take in a picture, ms: where they take longer, fewer are taken. */
 const STEPS_MS = 25;
@@ -83,6 +84,7 @@ async function run() {
   });
   const lit = new Lit(picture.over, picture.heart);
   const vessels = new Vessels(picture.scene, picture.heart.uniforms.cutPlane, tubes);
+  const landmarks = followingOf(arraysOf(data.landmarks));
   const marks = new Marks(/** @type {HTMLCanvasElement} */ (find("marks")), picture.camera);
   picture.drawn.push(() => marks.draw());
   const looking = new Looking(picture.camera, { changed: () => picture.move(), ended: () => tellSeen() });
@@ -119,10 +121,18 @@ async function run() {
     paint();
   }
 
-  /** Landmarks and vessels lie where the heart is at rest, and are seen there alone. @param {boolean} isAtRest */
-  function tellRest(isAtRest) {
-    marks.marks = isAtRest ? facts.landmarks : [];
-    vessels.show(isAtRest);
+  /** Landmarks and vessels go with the tissue. */
+  function follow() {
+    const { nodes, arrays, place } = picture.heart;
+    if (nodes === null || place === null || arrays.cell_corners === undefined) return;
+    const isAtRest = nodes.displacement.every((part, n) => n % 4 === 3 || Math.abs(part) < AT_REST);
+    landmarks.follow(nodes.displacement, arrays.cell_corners, place);
+    let at = 0;
+    marks.marks = facts.landmarks.map((/** @type {import("./marks.js").Mark} */ mark) => {
+      const points = mark.points.map(() => /** @type {any} */ ([...landmarks.places.subarray(3 * at, 3 * ++at)]));
+      return { ...mark, points };
+    });
+    vessels.follow(nodes.displacement, arrays.cell_corners, place, isAtRest);
   }
 
   function tellSeen() {
@@ -162,7 +172,7 @@ async function run() {
     picture.heart.takeTopology(topology);
     picture.heart.nodes?.takeAll(new Float32Array(4 * topology.header.node_count));
     changed();
-    tellRest(true);
+    follow();
     picture.tools.show({ instruments: [], stitches: [], patches: [] }, {});
   }
 
@@ -200,7 +210,7 @@ async function run() {
       if (played !== null || picture.heart.nodes === null) break;
       const most = picture.heart.nodes.takeAll(displacement);
       stillPictures = most < STILL && !hands.isUsed ? stillPictures + 1 : 0;
-      tellRest(!hands.isUsed && displacement.every((part) => Math.abs(part) < AT_REST));
+      if (most > 0) follow();
       const shown = hands.shown();
       const areToolsNew = picture.tools.show({ instruments: shown, stitches: [], patches: [] }, {});
       panel.showForces({ mode: "running", instruments: shown.filter(({ kind }) => kind === "grab"), stitches: [], patches: [] });
@@ -262,7 +272,7 @@ async function run() {
       }
     }
     played.at = at;
-    tellRest(at === 0);
+    follow();
     /** @type {Record<string, any>} */
     const header = moments[at].at(-1)?.header ?? {};
     panel.showForces({ ...header, mode: "paused" });
@@ -426,6 +436,10 @@ async function run() {
   picture.camera.frame(...box);
   planeControls.setCase(facts.axes, box);
   showStart();
+  if (data.normalMap !== null) {
+    await picture.heart.takeNormalMap(arraysOf(data.normalMap).png);
+    picture.redraw();
+  }
   paint();
   language.follow(() => colouring.build());
   language.listen(() => {
@@ -455,7 +469,7 @@ async function run() {
   for (const id of ["tools", "size-group", "as-at-start"]) find(id).hidden = engine === null;
   find("tab-forces").hidden = engine === null && data.recordings.length === 0;
   tellEngine();
-  Object.assign(open, { picture, engine, picking, panel, facts, data, tour });
+  Object.assign(open, { picture, engine, picking, panel, facts, data, tour, marks, vessels });
   find("curtain").hidden = true;
   document.body.dataset.ready = "true";
 }

@@ -1,7 +1,8 @@
-/** Vessels on the heart that have a surface of their own, such as coronary arteries; they lie where the heart is at rest. */
+/** Vessels on the heart that have a surface of their own, such as coronary arteries; they go with the tissue. */
 
 import * as three from "../vendor/three/three.module.min.js";
 import { arraysOf } from "../operating/messages.js";
+import { followingOf } from "./following.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
 /** @typedef {import("../operating/heart.js").Structure} Structure */
@@ -40,14 +41,18 @@ export class Vessels {
   /** Mesh of each structure. @type {Map<number, any>} */
   #meshes = new Map();
   #group = new three.Group();
+  /** @type {{following: import("./following.js").Following, geometry: any, normals: Float32Array}[]} */
+  #moving = [];
 
   /** @param {any} scene @param {any} cutPlane uniform that the heart has too @param {readonly Package[]} messages */
   constructor(scene, cutPlane, messages) {
     for (const message of messages) {
       const arrays = arraysOf(message);
       const geometry = new three.BufferGeometry();
-      geometry.setAttribute("position", new three.BufferAttribute(arrays.vertices, 3));
-      geometry.setAttribute("normal", new three.BufferAttribute(arrays.normals, 3));
+      const following = followingOf(arrays);
+      geometry.setAttribute("position", new three.BufferAttribute(following.places, 3));
+      geometry.setAttribute("normal", new three.BufferAttribute(new Float32Array(arrays.normals), 3));
+      this.#moving.push({ following, geometry, normals: arrays.normals });
       geometry.setIndex(new three.BufferAttribute(arrays.triangles, 1));
       const material = new three.RawShaderMaterial({
         glslVersion: three.GLSL3, vertexShader: VERTEX, fragmentShader: FRAGMENT, side: three.DoubleSide,
@@ -61,9 +66,19 @@ export class Vessels {
     scene.add(this.#group);
   }
 
-  /** @param {boolean} isAtRest */
-  show(isAtRest) {
-    this.#group.visible = isAtRest;
+  /**
+   * Bring them to where the tissue is.
+   * @param {Float32Array} displacement @param {Uint32Array} corners @param {import("./following.js").Place} place
+   * @param {boolean} isAtRest
+   */
+  follow(displacement, corners, place, isAtRest) {
+    for (const { following, geometry, normals } of this.#moving) {
+      following.follow(displacement, corners, place);
+      const { position, normal } = geometry.attributes;
+      position.needsUpdate = normal.needsUpdate = true;
+      if (isAtRest) normal.array.set(normals);
+      else geometry.computeVertexNormals();
+    }
   }
 
   /** @param {readonly Structure[]} structures @param {ReadonlySet<number>} hidden @param {number | null} lit */

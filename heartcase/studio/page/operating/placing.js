@@ -97,6 +97,14 @@ void main() {
 }
 `;
 
+/* Patterns tell structures apart without colour: 1 is level lines, 2 slanting ones. */
+export const PATTERNED = `
+vec3 patterned(vec3 own, float pattern) {
+  if (pattern > 1.5 && mod(gl_FragCoord.x + gl_FragCoord.y, 11.0) < 3.0) return mix(own, vec3(1.0), 0.42);
+  return pattern > 0.5 && pattern < 1.5 && mod(gl_FragCoord.y, 9.0) < 1.5 ? own * 0.72 : own;
+}
+`;
+
 /* Light from the eye, a little from above, and some all around; the inner side of a wall is darker. PLAIN: without a
    normal map. WHOLE: without a cut plane, so that what lies behind is left out before it is lit. */
 export const FRAGMENT = `
@@ -114,7 +122,7 @@ uniform vec4 cutPlane;
 uniform sampler2D stretchColours, normalMap;
 uniform bool showsStretch, hasMap;
 out vec4 drawn;
-
+${PATTERNED}
 void main() {
 #ifndef WHOLE
   if (dot(cutPlane.xyz, here) > cutPlane.w) discard;
@@ -130,8 +138,7 @@ void main() {
 #endif
   if (!gl_FrontFacing) normal = -normal;
   vec3 own = showsStretch ? texture(stretchColours, vec2(clamp(stretchHere, 0.0, 1.0) * 0.9961 + 0.00195, 0.5)).rgb : colour;
-  if (kind.x > 1.5 && mod(gl_FragCoord.x + gl_FragCoord.y, 11.0) < 3.0) own = mix(own, vec3(1.0), 0.42);
-  else if (kind.x > 0.5 && kind.x < 1.5 && mod(gl_FragCoord.y, 9.0) < 1.5) own *= 0.72;
+  own = patterned(own, kind.x);
   vec3 light = normalize(eye + vec3(0.15, 0.45, 0.0));
   float bright = 0.24 + 0.12 * normal.y + 0.72 * max(dot(normal, light), 0.0);
   float shine = 0.16 * pow(max(dot(normal, normalize(light + eye)), 0.0), 24.0);

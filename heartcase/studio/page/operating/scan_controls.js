@@ -11,6 +11,9 @@ const STANDING = {
   sagittal: { right: [0, 1, 0], down: [0, 0, -1], axis: 0 },
 };
 
+/** Steps of the sliders of level and width, over all intensities. */
+const WINDOW_STEPS = 400;
+
 /** @param {string} id */
 const find = (id) => /** @type {HTMLInputElement} */ (document.getElementById(id));
 
@@ -18,6 +21,10 @@ export class ScanControls {
   /** What is to be asked for, newest place of each. @type {Map<string, {point_mm: Vector, right: Vector, down: Vector}>} */
   #wanted = new Map();
   #isAsking = false;
+  /** Intensities that are black and white; null as at first. @type {[number, number] | null} */
+  #window = null;
+  /** Lowest and highest intensity of the scan for which the sliders stand. @type {[number, number] | null} */
+  #range = null;
   /** @type {[Vector, Vector]} */
   #box = [[0, 0, 0], [1, 1, 1]];
 
@@ -35,6 +42,31 @@ export class ScanControls {
       if (name !== "cut") find(`scan-${name}-at`).addEventListener("input", () => this.#update(name));
     }
     picture.plane.listen(() => this.#update("cut"));
+    for (const name of ["level", "width"]) find(`scan-${name}`).addEventListener("input", () => this.#takeWindow());
+  }
+
+  /** What the sliders of level and width say. */
+  #takeWindow() {
+    const [level, width] = ["level", "width"].map((name) => Number(find(`scan-${name}`).value));
+    this.#window = [level - width / 2, level + width / 2];
+    for (const name of ["cut", ...Object.keys(STANDING)]) this.#update(name);
+  }
+
+  /** Let the sliders show how a slice is shown. @param {{window: [number, number], range: [number, number]}} header */
+  #tellWindow({ window: [black, white], range }) {
+    if (this.#range?.join() !== range.join()) {
+      // of another scan: as that is shown at first
+      const isOther = this.#window !== null;
+      this.#range = range;
+      this.#window = null;
+      if (isOther) for (const name of ["cut", ...Object.keys(STANDING)]) this.#update(name);
+      const step = (range[1] - range[0]) / WINDOW_STEPS || 1;
+      Object.assign(find("scan-level"), { step, min: range[0], max: range[1], disabled: false });
+      Object.assign(find("scan-width"), { step, min: step, max: Math.max(range[1] - range[0], step), disabled: false });
+    }
+    if (this.#window !== null) return;
+    find("scan-level").value = String((black + white) / 2);
+    find("scan-width").value = String(white - black);
   }
 
   /** @param {boolean} isKnown whether there is a scan @param {[Vector, Vector]} box around the heart */
@@ -85,7 +117,7 @@ export class ScanControls {
       const [name, place] = next;
       this.#wanted.delete(name);
       try {
-        await this.ask({ do: "slice", name, ...place });
+        await this.ask({ do: "slice", name, ...place, window: this.#window });
       } catch (error) {
         this.#wanted.clear();
         for (const one of ["cut", ...Object.keys(STANDING)]) find(`scan-${one}`).checked = false;
@@ -100,6 +132,7 @@ export class ScanControls {
   take(header, arrays) {
     // it may have been switched off meanwhile
     if (!find(`scan-${header.name}`).checked || (header.name === "cut" && !this.picture.plane.isOn)) return;
+    this.#tellWindow(header);
     this.picture.slices.show(header, arrays.greys, header.arrays.greys.shape);
     this.picture.redraw();
   }

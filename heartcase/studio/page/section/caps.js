@@ -7,7 +7,7 @@
  */
 
 import * as three from "../vendor/three/three.module.min.js";
-import { PLACING } from "../operating/placing.js";
+import { PATTERNED, PLACING } from "../operating/placing.js";
 import { STRIDE, Tissue } from "./tissue.js";
 
 /** @typedef {import("../operating/heart.js").Heart} Heart */
@@ -130,13 +130,14 @@ uniform float sliceShare;
 uniform bool showsStretch, isRest;
 uniform vec3 seenNormal;
 out vec4 drawn;
-
+${PATTERNED}
 void main() {
   int label = isRest ? 256 : labelAt(restHere);
   vec4 look = texelFetch(palette, ivec2(label == 0 ? 256 : label, 0), 0);
   if (look.a < 0.5 && !isRest) discard;
   vec3 own = isRest ? vec3(0.59, 0.16, 0.18) : look.rgb;
   if (showsStretch && !isRest) own = texture(stretchColours, vec2(clamp(stretchHere, 0.0, 1.0) * 0.9961 + 0.00195, 0.5)).rgb;
+  if (!isRest) own = patterned(own, round((1.0 - look.a) * 255.0 / 40.0));
   vec3 lit = own * (0.62 + 0.33 * abs(dot(normalize(toEye), seenNormal)));
   if (sliceShare > 0.0) {
     vec2 at = (sliceFromMm * vec4(here, 1.0)).xy;
