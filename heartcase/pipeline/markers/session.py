@@ -147,6 +147,11 @@ class SegmentationSession:
         return self._forest.put_off.copy()
 
     @property
+    def put_off_times(self) -> int:
+        """How often labels were put off so far."""
+        return self._forest.put_off_times
+
+    @property
     def tile_stamps(self) -> Int64:
         """By tile: higher, the later it was that a label which was put off turned out to be another one; a copy."""
         return self._forest.stamps.copy()

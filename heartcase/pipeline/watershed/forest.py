@@ -96,6 +96,8 @@ class Forest:
     """Which tiles are put off, bool, shape [z, y, x] of tiles of 32 voxels along each side."""
     stamps: Int64 = field(default_factory=lambda: np.zeros((0, 0, 0), np.int64))
     """By tile: a number that is higher, the later a label that was put off turned out to be another one."""
+    put_off_times: int = 0
+    """How often labels were put off so far."""
     _is_behind: bool = False
     """Whether labels and levels of feet are of earlier markers: those of now follow from what is parted."""
     _parted: PartedForest | None = None
@@ -152,10 +154,8 @@ class Forest:
         self.fill()
         graph = (*tree.neighbours, tree.key, *tree.ends)
         feet = (self.marks.reshape(-1), self.foot_label, self.foot_level, self.lowest_mark)
-        most = int(MOST_MENDED * tree.basin_count)
+        most = min(int(MOST_MENDED * tree.basin_count), MOST_CARRIED if is_quick else tree.basin_count)
         before = None if is_quick else self.foot_label.copy()
-        if is_quick:
-            most = min(most, MOST_CARRIED)
         if label != UNMARKED:
             changed = mend(self._landscape, graph, voxels, label, *feet, most)
         else:
@@ -332,6 +332,7 @@ class Forest:
         self._forget()
         self._is_behind = True
         self.put_off[:] = True
+        self.put_off_times += 1
 
     def _forget(self) -> None:
         """Forget what followed from markers that are others now."""
@@ -385,6 +386,7 @@ class Forest:
         first_voxel, voxel_list = tree.voxels
         count = int((first_voxel[changed + 1] - first_voxel[changed]).sum())
         if self.puts_off and count > MOST_AT_ONCE:
+            self.put_off_times += 1
             if count > MOST_LISTED:
                 self.put_off[:] = True
             else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,8 +19,12 @@ from heartcase.studio.painting.requests import SeenPlane
 
 __all__ = ["Plane", "Shown", "planes_in_voxels"]
 
-SETTLED_AT_ONCE = 8
-"""Tiles that are worked out and sent for one request, at most: a few ms."""
+SETTLED_AT_ONCE = 48
+"""Tiles that are worked out and sent for one request, at most."""
+_GROUP = 4
+"""Tiles that are worked out together."""
+_LONG_S = 0.003
+"""With a request for the rest no more is begun after so long: a stroke may be waiting."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,8 @@ class _View:
     """What it shows."""
     sent: Int64
     """Stamp of each tile when that was sent last; 0 for never."""
+    settled: int = -1
+    """How often labels had been put off when what it shows was worked out last."""
 
 
 class Shown:
@@ -104,7 +111,10 @@ class Shown:
         session = self._session
         boxes: list[Box] = []
         for view in self._views:
-            session.settle_sight(view.sight)
+            # other changes were written to all labels, and sent to all pages
+            if view.settled != session.put_off_times:
+                session.settle_sight(view.sight)
+                view.settled = session.put_off_times
             stamps = session.tile_stamps
             fresh = view.sight.tiles & (stamps > np.maximum(self._sent, view.sent))
             view.sent[fresh] = stamps[fresh]
@@ -120,16 +130,21 @@ class Shown:
         for view in self._views:
             away = np.minimum(away, _distances(view.plane, self._unsent.shape))
         tiles = tiles[np.argsort(away[self._unsent], kind="stable")][:SETTLED_AT_ONCE]
-        boxes = [_tile_box(tile, session.geometry.shape) for tile in tiles]
-        session.settle_boxes(boxes)
-        stamps = session.tile_stamps
         fresh: list[Box] = []
-        for tile, box in zip(tiles, boxes, strict=True):
-            at = tuple(tile)
-            if stamps[at] > self._sent[at]:
-                fresh.append(box)
-            self._unsent[at] = False
-            self._sent[at] = stamps[at]
+        start = time.perf_counter()
+        for first in range(0, len(tiles), _GROUP):
+            group = tiles[first : first + _GROUP]
+            boxes = [_tile_box(tile, session.geometry.shape) for tile in group]
+            session.settle_boxes(boxes)
+            stamps = session.tile_stamps
+            for tile, box in zip(group, boxes, strict=True):
+                at = tuple(tile)
+                if stamps[at] > self._sent[at]:
+                    fresh.append(box)
+                self._unsent[at] = False
+                self._sent[at] = stamps[at]
+            if time.perf_counter() - start > _LONG_S:
+                break
         return (boxes_message(fresh, session.labels_of_boxes(fresh)),) if fresh else ()
 
 
