@@ -1,5 +1,6 @@
 # make case   sets up an environment, builds a sample case from a synthetic scan and pulls on it
 # make test   everything that must hold before a change goes in
+# make thorough  more sizes, seeds and shapes of what make test tries; the gate runs it, too
 # make docs   the documentation as a site: out/site/index.html
 # make bench  run time against error (minutes)
 # make versions  every kernel compiles, and a sample case comes out as on the Python that ran this before
@@ -12,7 +13,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 LOCK ?= requirements.lock
 
-.PHONY: case test check format lint types imports docs plain bench versions lowest newest gpu lock clean same-python
+.PHONY: case test thorough check format lint types imports docs plain bench versions lowest newest gpu lock clean same-python
 
 # An environment keeps the Python that it was made with: it is not used where another one is asked for.
 # No comma may stand in the script: make would end the argument of its $(if) there.
@@ -49,6 +50,9 @@ case: $(VENV)/prepare-installed
 test:
 	$(MAKE) --jobs=2 check plain
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+thorough: $(VENV)/installed
+	$(BIN)/python -m pytest -m 'thorough and not slow'
 
 # All that is checked without running the package; .pre-commit-config.yaml runs the same one by one.
 check: format lint types imports docs
@@ -113,7 +117,7 @@ gpu: export HEARTCASE_LATTICES ?= out/lattices
 gpu: $(if $(filter file,$(origin GPU_PYTHON)),$(VENV)-gpu/installed)
 	mkdir -p $(GPU_OUT)
 	$(GPU_PYTHON) -m tests.parity.gpu
-	$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider --durations 10 -k 'cuda or gpu' tests/parity tests/simulator/instruments/test_hands.py \
+	$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider --durations 10 -m 'not slow and not versions' -k 'cuda or gpu' tests/parity tests/simulator/instruments/test_hands.py \
 	  tests/simulator/test_simulation.py tests/simulator/lattice/test_strain_sharing.py tests/stress/test_violence_other_backends.py
 	$(GPU_PYTHON) -m benchmarks engine-gpu frame-adult-gpu --json $(GPU_OUT)/bench.json
 

@@ -4,7 +4,12 @@ import ctypes
 import os
 import shutil
 
+import hypothesis
 import pytest
+
+# Speed is a matter for benchmarks: a busy machine fails no test.
+hypothesis.settings.register_profile("untimed", deadline=None)
+hypothesis.settings.load_profile("untimed")
 
 
 def _has_driver() -> bool:

@@ -23,6 +23,7 @@ __all__ = [
     "PatchScale",
     "PointMm",
     "PositiveMm",
+    "RestPoses",
     "RowPlaces",
     "Vector3",
 ]
@@ -79,6 +80,16 @@ BladePoses = Annotated[
     Field(min_length=2, max_length=4096, description="Points of a blade's edge at each of its poses."),
 ]
 """Points (x, y, z) of a blade at each pose, patient LPS space, mm."""
+
+RestPoses = Annotated[
+    tuple[Annotated[tuple[PointMm | None, ...], Field(min_length=2, max_length=4096)], ...],
+    Field(
+        min_length=2,
+        max_length=4096,
+        description="Points of a blade's edge at each of its poses; null where it met no tissue.",
+    ),
+]
+"""Points (x, y, z) of a blade at each pose, in the tissue at rest, patient LPS space, mm; None where it met none."""
 
 PositiveMm = Annotated[float, Field(gt=0.0, le=1000.0)]
 """A length in mm, above zero."""

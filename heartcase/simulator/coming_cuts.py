@@ -164,7 +164,7 @@ class CutsAhead:
             return None
         first = self._coming.popleft()
         try:
-            if np.array_equal(first.points, points) and _cuts_before(first) is cuts:
+            if np.array_equal(first.points, points, equal_nan=True) and _cuts_before(first) is cuts:
                 found = first.tissue.result()
                 # Springs may have been removed one by one meanwhile, and patches laid in or taken out.
                 if found.before.spring_nodes is model.spring_nodes and _has_same_nodes(found.before, model):

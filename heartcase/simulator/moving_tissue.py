@@ -10,9 +10,9 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.coming_cuts import CutsAhead, CutTissue, cut_tissue
-from heartcase.simulator.cutting.blade_sheet import blade_points
+from heartcase.simulator.cutting.blade_sheet import Poses, blade_points, checked_poses
 from heartcase.simulator.cutting.cuts import Cuts, Step
-from heartcase.simulator.cutting.rest_space import places_at_rest, refined
+from heartcase.simulator.cutting.rest_space import blade_at_rest, refined
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.dynamics.step_size import checked_step, explicit_rate_limit, own_step_limit
@@ -103,7 +103,7 @@ class MovingTissue:
         """Largest step that is stable at rest with the springs that there are now, s."""
         return own_step_limit(self.model)
 
-    def cut(self, poses_mm: npt.ArrayLike, *, at_rest: bool = False, name: str = "blade") -> None:
+    def cut(self, poses_mm: Poses, *, at_rest: bool = False, name: str = "blade") -> None:
         """Cut along what a blade sweeps from pose to pose; nothing moves in this moment.
 
         The tissue is parted along the sheet itself, wherever in cells that lies: each piece of a cell becomes a cell of
@@ -116,7 +116,8 @@ class MovingTissue:
             Points of the blade's edge at each pose, LPS mm, shape (pose_count, point_count, 3), at least two of each.
             For a line drawn on tissue: the line, and the line at its depth.
         at_rest
-            Whether they are places of the tissue at rest; else they are places now.
+            Whether they are places of the tissue at rest; else they are places now. At rest a point may be NaN or None:
+            the blade met no tissue there.
         name
             Name in messages.
 
@@ -127,7 +128,7 @@ class MovingTissue:
             one by one: what they held together is not known.
         """
         rest_mm = poses_mm if at_rest else self.rest_poses_mm(poses_mm, name=name)
-        points = blade_points(self.model, rest_mm, name)
+        points = blade_points(self.model, rest_mm, name, may_be_open=True)
         made = self._ahead.take(points, self.model, self.cuts)
         if made is None:
             made = self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points)
@@ -141,7 +142,7 @@ class MovingTissue:
         self._carry(step)
         self._state = None
 
-    def begin_cut(self, poses_mm: npt.ArrayLike, *, at_rest: bool = False, name: str = "blade") -> Float64:
+    def begin_cut(self, poses_mm: Poses, *, at_rest: bool = False, name: str = "blade") -> Float64:
         """Begin to work out, in a thread of its own, what a cut will leave; nothing is cut yet, and steps go on.
 
         :meth:`cut` with the poses that are returned then makes the cut at once, and the same to the bit as without
@@ -156,15 +157,16 @@ class MovingTissue:
         Returns
         -------
         ndarray
-            Poses of the blade at rest, LPS mm, shape (any, any, 3): where it meets the tissue now.
+            Poses of the blade at rest, LPS mm, shape (any, any, 3): where it meets the tissue now, else NaN.
 
         Raises
         ------
         SimulationError
             As of :meth:`cut`; that springs were removed one by one is said by :meth:`cut` alone.
         """
-        rest_mm = np.asarray(poses_mm) if at_rest else self.rest_poses_mm(poses_mm, name=name)
-        points = blade_points(self.model, rest_mm, name)
+        given = checked_poses(poses_mm, name, may_be_open=at_rest)
+        rest_mm = given if at_rest else self.rest_poses_mm(given, name=name)
+        points = blade_points(self.model, rest_mm, name, may_be_open=True)
         nothing_cut = self.nothing_cut()
         self._prepare_split(nothing_cut)
         self._ahead.begin(points, self.model, self.cuts, nothing_cut, self._cut_tissue)
@@ -184,11 +186,13 @@ class MovingTissue:
         """Compile what a cut needs, so that the first is as quick as the rest; nothing changes."""
         middle = self.model.node_index[self.model.cell_corners[0]].mean(axis=0)
         points = middle + 0.4 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
-        places_at_rest(self.model, np.ones((self.model.node_count, 3), np.float32), points)
+        blade_at_rest(self.model, np.ones((self.model.node_count, 3), np.float32), points)
         self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points)
 
-    def rest_poses_mm(self, poses_mm: npt.ArrayLike, *, name: str = "blade") -> Float64:
+    def rest_poses_mm(self, poses_mm: Poses, *, name: str = "blade") -> Float64:
         """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
+
+        NaN where it meets none, as between lips that are held apart.
 
         Parameters
         ----------
@@ -201,7 +205,8 @@ class MovingTissue:
             As of :meth:`cut`.
         """
         points = refined(blade_points(self.model, poses_mm, name), name)
-        rest = places_at_rest(self.model, self.state.displacement, points)
+        parted = None if self.cuts is None else self.cuts.parted
+        rest = blade_at_rest(self.model, self.state.displacement, points, parted)
         rest_mm: Float64 = self.model.geometry.index_to_world(rest - 0.5)
         return rest_mm
 

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.blade_sheet import Poses
 from heartcase.simulator.cutting.crossings import QUANTA
 from heartcase.simulator.instruments.forceps import Forceps, close_forceps
 from heartcase.simulator.instruments.grab import Grab
@@ -211,7 +212,7 @@ class OperatedTissue(MovingTissue):
         self._require_scissors(scissors)
         scissors.place(self.model, hinge_mm, direction, closing)
 
-    def snip(self, scissors: Scissors, angle_deg: float = 0.0, *, rest_poses_mm: npt.ArrayLike | None = None) -> None:
+    def snip(self, scissors: Scissors, angle_deg: float = 0.0, *, rest_poses_mm: Poses | None = None) -> None:
         """Close the jaws to an angle: what lies between them is cut, from the hinge on as far as they have met.
 
         To a larger angle than now they open, and cut nothing. Closing from fully open to 0 cuts along all their length.

@@ -147,6 +147,7 @@ def test_the_repository_s_own_cases_are_sound():
     assert len([case for case in cases if case.group == "accuracy-default"]) == (3 * 5 + 2 + 1) * 3
 
 
+@pytest.mark.thorough
 def test_a_run_goes_on_without_a_method_that_cannot_run(tmp_path, capsys):
     write_cases(tmp_path)
     out = tmp_path / "out"
@@ -208,6 +209,7 @@ def test_what_was_measured_until_a_case_fails_is_written(tmp_path, capsys):
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
 @pytest.mark.parametrize("measured", [0, 1])
+@pytest.mark.thorough
 def test_what_was_measured_until_somebody_stops_it_is_written(tmp_path, measured):
     write_cases(tmp_path)
     if measured == 0:
@@ -257,6 +259,7 @@ def test_pictures_are_pictures_and_the_same_each_time(tmp_path):
         assert {(0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)} <= colours
 
 
+@pytest.mark.thorough
 def test_a_method_has_its_colour_also_where_another_is_missing(tmp_path):
     records = [
         record(method, strokes=n, seconds=s, dice=0.9, mean=1.0 / n, one=0.5)

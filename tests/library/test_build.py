@@ -116,6 +116,7 @@ def test_a_killed_worker_costs_what_it_was_building(tmp_path):
     assert not stale_cases(cases, out)
 
 
+@pytest.mark.thorough
 def test_a_case_that_kills_every_worker_is_listed(tmp_path, monkeypatch):
     library, out = make_library(tmp_path / "library", 1), tmp_path / "out"
     with connected(Workers(1, 1, 3000), None) as client:

@@ -264,6 +264,7 @@ def test_the_normal_heart_is_the_default():
     assert PhantomScan().heart == HeartForm()
 
 
+@pytest.mark.thorough
 def test_a_case_of_a_scan_that_was_made_before_is_replaced(tmp_path, monkeypatch):
     write_ball_scan(tmp_path / "ball.nii.gz")
     ball = read_scan(tmp_path / "ball.nii.gz")

@@ -86,6 +86,7 @@ def test_steps_agree(model, seed, damping):
     np.testing.assert_array_equal(ends[0].displacement[model.node_is_fixed], 0.0)
 
 
+@pytest.mark.thorough
 def test_all_ways_to_share_the_nodes_give_the_same_bytes(monkeypatch):
     model = large()
     start = State(random_field(model, 1, 0.1), random_field(model, 2, 0.01))
@@ -117,6 +118,7 @@ def test_all_ways_to_share_the_nodes_give_the_same_bytes(monkeypatch):
 
 @patient
 @given(models, SEEDS, st.booleans())
+@pytest.mark.thorough
 def test_explicit_springs_agree(model, seed, resident):
     assume(model.node_count > 1)
     model = unguarded(tied(model, seed))

@@ -283,6 +283,7 @@ def test_streaks_darken_a_ct_between_the_cava_and_other_blood(adult, upper):
     np.testing.assert_array_equal(acquire_ct(adult, upper, **settings, artefacts=none).values, clean.astype(np.float32))
 
 
+@pytest.mark.thorough
 def test_thin_slices_average_over_their_own_thickness(adult, small):
     # The middles of 25 layers a voxel, 15 of them within a slice of 0.6 of the distance.
     thick = small.model_copy(update={"spacing_mm": (1.75, 1.75, 5.0), "size": (24, 24, 6)})
@@ -305,6 +306,7 @@ def test_thin_slices_average_over_their_own_thickness(adult, small):
     assert error < 0.1 * np.sqrt(((whole - expected)[border] ** 2).mean())
 
 
+@pytest.mark.thorough
 def test_a_thin_slice_sees_less_than_a_thick_one(adult):
     # A border that is horizontal in so narrow a voxel: the diaphragm, found in a column of thin ones.
     column = Geometry.of(shape=(1000, 1, 1), origin_mm=(120.0, -18.0, -62.0), spacing_mm=(0.1, 0.1, 0.01))
@@ -376,6 +378,7 @@ def test_wrong_settings_of_a_ct_are_refused(adult, lung, settings, message):
         acquire_ct(adult, lung, **settings)
 
 
+@pytest.mark.thorough
 def test_a_specimen_is_its_tissue_in_air_and_its_vessels_are_open(child):
     geometry = child.scan_geometry(2.0, margin_mm=8.0)
     found = noise_free(child, geometry, SPECIMEN_UNITS, supersampling=1, in_air=True)

@@ -106,6 +106,7 @@ def test_an_oval_defect_is_as_wide_as_it_says():
 
 
 @pytest.mark.parametrize("step", [1.5, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.thorough
 def test_muscles_inside_the_ventricles_leave_no_gap_in_the_tissue(step):
     plain = HeartForm(body_surface_m2=1.9, has_detail=True)
     _, labels = voxels(plain, step)
@@ -163,6 +164,7 @@ def test_transposed_arteries_make_two_circuits():
 
 
 @pytest.mark.parametrize("step", [1.3, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.thorough
 def test_a_tight_baffle_gives_the_aorta_to_the_left_ventricle(step):
     _, labels = voxels(OUTLET, step)
     pieces = joined(labels)
@@ -176,6 +178,7 @@ def test_a_tight_baffle_gives_the_aorta_to_the_left_ventricle(step):
     assert abs(places["aortic valve"][1] - places["pulmonary valve"][1]) < 5.0
 
 
+@pytest.mark.thorough
 def test_a_baffle_is_painted_all_over_and_with_care_near_the_wall():
     phantom = phantom_of(LEAKING)
     rings = baffle_rings(phantom, apart_mm=1.3, clear_mm=1.1, deep_mm=3.1)
@@ -263,6 +266,7 @@ def test_planned_incisions_lie_on_the_heart_and_open_it(mirrored):
         assert 0.5 < line.depth_mm < 8.0, name
 
 
+@pytest.mark.thorough
 def test_coronary_arteries_run_on_the_heart():
     phantom = phantom_of(NEWBORN)
     lines = {one.name: one for one in coronary_landmarks(phantom)}

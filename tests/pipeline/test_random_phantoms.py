@@ -32,7 +32,7 @@ from heartcase.schemas.recipe.settings import MaterialsSettings
 from tests.pipeline.random_phantoms import RandomHeart, random_heart
 from tests.pipeline.sides import sides
 
-QUICK, MANY = 5, 550
+QUICK, MANY = 2, 550
 FOUND = (58, 61, 70, 72, 105, 109, 168, 175, 228, 312, 375)
 """Of the many, those that showed a fault once: tissue thinner than its samples, ends of vessels at the scan's edge, a
 cell that a repair adds and that holds no tissue."""
@@ -40,7 +40,10 @@ cell that a repair adds and that holds no tissue."""
 
 def seeds() -> Iterator[object]:
     for seed in range(MANY):
-        yield seed if seed < QUICK or seed in FOUND else pytest.param(seed, marks=pytest.mark.slow)
+        if seed < QUICK or seed in FOUND[::5]:
+            yield seed
+        else:
+            yield pytest.param(seed, marks=pytest.mark.thorough if seed in FOUND else pytest.mark.slow)
 
 
 every_seed = pytest.mark.parametrize("seed", list(seeds()), scope="module")

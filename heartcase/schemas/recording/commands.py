@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from heartcase.schemas.base import BladePoses, Model, Name, PointMm, PositiveMm
+from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, RestPoses
 from heartcase.schemas.errors import RecordingError, problems_from_validation
 from heartcase.schemas.recording.suture_commands import (
     BoundPlace,
@@ -70,7 +70,7 @@ __all__ = [
     "parse_command",
 ]
 
-COMMANDS_VERSION = 2
+COMMANDS_VERSION = 3
 """Raised when a command is added or changes: who reads commands refuses those of a newer version."""
 STEPS_MAX = 100_000_000
 SPRINGS_MAX = 100_000
@@ -182,8 +182,8 @@ class Cut(Model):
     """Which command."""
     name: Name = "blade"
     """Name of the blade, in messages."""
-    poses_mm: BladePoses
-    """Points of the blade's edge at each pose; as many in each."""
+    poses_mm: RestPoses
+    """Points of the blade's edge at each pose; as many in each. At rest, null where it met no tissue."""
     at_rest: bool = False
     """Whether they are places of the tissue at rest; else they are places now. What is recorded is at rest."""
 
@@ -191,6 +191,8 @@ class Cut(Model):
     def _is_even(self) -> Cut:
         if len({len(pose) for pose in self.poses_mm}) > 1:
             raise ValueError("every pose of a blade needs as many points as the others")
+        if not self.at_rest and any(None in pose for pose in self.poses_mm):
+            raise ValueError("every point of a blade must be three numbers where it is not at rest")
         return self
 
 

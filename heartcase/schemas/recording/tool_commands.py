@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Literal
 
 from heartcase.schemas.base import (
-    BladePoses,
     Direction,
     JawAngle,
     JawOpening,
@@ -16,6 +15,7 @@ from heartcase.schemas.base import (
     PadStiffness,
     PointMm,
     PositiveMm,
+    RestPoses,
 )
 
 __all__ = [
@@ -128,7 +128,7 @@ class Snip(Model):
     """The scissors."""
     angle_deg: JawAngle = 0.0
     """Angle between the jaws after it, degrees; 0 is closed."""
-    rest_poses_mm: BladePoses | None = None
+    rest_poses_mm: RestPoses | None = None
     """What is cut, as poses of a blade in the tissue at rest; worked out when left out. What is recorded states it."""
 
 

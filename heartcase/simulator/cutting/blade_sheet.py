@@ -8,22 +8,27 @@ and Muecke, ACM Trans. Graph. 9, 1990): every link is crossed or not, and a clos
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64, Int64
+from heartcase.schemas.base import Vector3
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES, cross
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Links", "Sheet", "blade_points", "crossed_links", "key_indices", "touched_places"]
+__all__ = ["Links", "Poses", "Sheet", "blade_points", "checked_poses", "crossed_links", "key_indices", "touched_places"]
 
 Links = tuple[Int64, Int64, Int64]
 """Keys of links along x, y and z."""
+Poses = npt.ArrayLike | Sequence[Sequence[Vector3 | None]]
+"""Points of a blade at each pose, shape (pose_count, point_count, 3); at rest, None or NaN where it met no tissue."""
 
 _BEYOND = 2.0
 """How far a sheet is continued [cells]: through any cell that it ends in."""
@@ -35,6 +40,7 @@ _FAR = 256.0
 """Where a step is longer [cells], it is divided as if it were so long."""
 _LONGEST = 128
 """Extent of a triangle along any axis [cells], so that products of three differences fit into 64 bits."""
+_NOWHERE = (np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True)
@@ -82,16 +88,18 @@ class Sheet:
         poses
             Points of the blade at each pose, at rest, in the frame of the nodes [cells], shape (pose_count,
             point_count, 3), at least two of each. For a line drawn on tissue: the line, and the line at its depth.
+            NaN where the blade met no tissue: the sheet has a hole there.
 
         Raises
         ------
         SimulationError
             Too few poses or points, numbers that are not finite, or a sheet that reaches too far.
         """
-        points = _checked_poses(poses, "blade")
-        cls.of_triangles(_triangles(points))  # refuses what is not finite
+        points = checked_poses(poses, "blade", may_be_open=True)
+        cls.of_triangles(_triangles(points))  # refuses what is too far away
         fine, places = _refined(points)
-        sheet, flat = cls.of_triangles(_triangles(fine)), _triangles(places)[..., :2]
+        both = _triangles(np.concatenate([fine, places], axis=-1))
+        sheet, flat = cls.of_triangles(both[..., :3]), both[..., 3:5]
         if len(flat) == len(sheet.triangles):
             sheet = replace(sheet, flat=flat)
         longer = np.concatenate([_continued(points[:2], 0)[:1], points, _continued(points[-2:], 0)[1:]])
@@ -152,38 +160,53 @@ def touched_places(links: Links) -> Int64:
     return np.unique(lattice_keys(np.concatenate(ends) // SAMPLES))
 
 
-def blade_points(model: LatticeModel, poses_mm: npt.ArrayLike, name: str = "blade") -> Float64:
+def blade_points(model: LatticeModel, poses_mm: Poses, name: str = "blade", *, may_be_open: bool = False) -> Float64:
     """Points of a blade at each pose, LPS mm, in the frame of the nodes [cells], (pose_count, point_count, 3).
+
+    Where it may be open, as at rest, a point that is None or NaN is NaN: the blade met no tissue there.
 
     Raises
     ------
     SimulationError
         Too few poses or points, numbers that are not finite, or a blade that reaches too far.
     """
-    poses = _checked_poses(poses_mm, name)
+    poses = checked_poses(poses_mm, name, may_be_open=may_be_open)
     points: Float64 = np.asarray(model.geometry.world_to_index(poses.reshape(-1, 3))).reshape(poses.shape) + 0.5
-    if not (np.abs(points) < _FURTHEST).all():
+    if (np.abs(points) >= _FURTHEST).any():
         raise SimulationError("every point must lie within the lattice or near it", place=name)
     return points
 
 
-def _checked_poses(poses: npt.ArrayLike, name: str) -> Float64:
+def checked_poses(poses: Poses, name: str, *, may_be_open: bool) -> Float64:
+    """Points of a blade at each pose, shape (pose_count, point_count, 3).
+
+    Where it may be open, a point that is None or NaN is NaN: the blade met no tissue there.
+
+    Raises
+    ------
+    SimulationError
+        Too few poses or points, or numbers that are not finite.
+    """
     problem = "a blade needs two points or more in two poses or more, shape (poses, points, 3)"
     try:
+        if may_be_open and not isinstance(poses, np.ndarray):
+            poses = [[_NOWHERE if point is None else point for point in pose] for pose in cast(Any, poses)]
         points = np.asarray(poses, dtype=np.float64)
     except (TypeError, ValueError):
         raise SimulationError(problem, place=name) from None
     if points.ndim != 3 or points.shape[2] != 3 or min(points.shape[:2]) < 2:
         raise SimulationError(problem, place=name)
-    if not np.isfinite(points).all():
+    is_open = np.isnan(points).all(axis=2) if may_be_open else np.zeros(points.shape[:2], np.bool_)
+    if not np.isfinite(points[~is_open]).all():
         raise SimulationError("every point of a blade must be three finite numbers", place=name)
     return points
 
 
 def _triangles(points: Float64) -> Float64:
-    """Two triangles for each four points that are neighbours, shape (count, 3, 3)."""
+    """Two triangles for each four points that are neighbours and all there, shape (count, 3, any)."""
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
-    return np.concatenate([np.stack(t, axis=2).reshape(-1, 3, 3) for t in ((a, b, c), (c, b, d))])
+    is_whole = np.isfinite(a + b + c + d).all(axis=-1)
+    return np.concatenate([np.stack(t, axis=2)[is_whole] for t in ((a, b, c), (c, b, d))])
 
 
 def _refined(points: Float64) -> tuple[Float64, Float64]:
@@ -191,8 +214,9 @@ def _refined(points: Float64) -> tuple[Float64, Float64]:
     place = np.zeros_like(points)
     ways = [np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1)]
     # Blade and way are laid out by the means of their lengths: along a ruled sheet neither has one alone.
-    place[..., 0] = np.append(0.0, np.cumsum(ways[0].mean(axis=1)))[:, None]
-    place[..., 1] = np.append(0.0, np.cumsum(ways[1].mean(axis=0)))
+    place[..., 0] = np.append(0.0, np.cumsum(_mean(ways[0], axis=1)))[:, None]
+    place[..., 1] = np.append(0.0, np.cumsum(_mean(ways[1], axis=0)))
+    ways = [np.nan_to_num(way) for way in ways]
     both = np.concatenate([points, place], axis=-1)
     for axis, way in enumerate(ways):
         counts = np.maximum(np.ceil(np.minimum(way.max(axis=1 - axis), _FAR) / _FINE), 1).astype(int)
@@ -204,12 +228,23 @@ def _refined(points: Float64) -> tuple[Float64, Float64]:
     return both[..., :3], both[..., 3:]
 
 
+def _mean(lengths: Float64, axis: int) -> Float64:
+    """Mean of the lengths that are known along an axis, 0 where none is."""
+    if not np.isnan(lengths).any():
+        mean: Float64 = lengths.mean(axis=axis)
+        return mean
+    is_known = np.isfinite(lengths)
+    total: Float64 = np.where(is_known, lengths, 0.0).sum(axis=axis) / np.maximum(is_known.sum(axis=axis), 1)
+    return total
+
+
 def _continued(pair: Float64, axis: int) -> Float64:
     """Two rows of points, moved apart along the lines through both by _BEYOND."""
     first, second = np.moveaxis(pair, axis, 0)
     way = second - first
     length = np.linalg.norm(way, axis=-1, keepdims=True)
-    step = np.divide(way, length, out=np.zeros_like(way), where=length > 0) * _BEYOND
+    # What ends beside a hole is not continued there.
+    step = np.divide(way, length, out=np.where(np.isnan(way), np.nan, 0.0), where=length > 0) * _BEYOND
     return np.stack([first - step, second + step], axis=axis)
 
 

@@ -1,7 +1,8 @@
 """Where a place in deformed tissue lies at rest: a blade cuts what it meets, wherever that came from.
 
 In a cell the place follows from its trilinear displacements (Newton's method). Beside the tissue it moves back as the
-nearest cells have moved on average.
+nearest cells have moved on average. Between lips that are held apart a blade cuts nothing: that space has no place at
+rest.
 """
 
 from __future__ import annotations
@@ -9,13 +10,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Float32, Float64, Int64
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cutting.rest_space_kernels import follow_back
+from heartcase.simulator.cutting.crossings import SAMPLES
+from heartcase.simulator.cutting.parted_lattice import PartedLattice
+from heartcase.simulator.cutting.rest_space_kernels import Tissue, follow_back
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["PLACES_MAX", "places_at_rest", "refined"]
+__all__ = ["PLACES_MAX", "blade_at_rest", "places_at_rest", "refined"]
 
 PLACES_MAX = (4096, 100_000)
 """Poses, or points in each, of a blade that is followed back to rest, and both together: what a recording holds."""
@@ -23,6 +26,10 @@ _REACH = 4.0
 """How far around a blade cells are looked for at first [cells]."""
 _SPACING = 0.5
 """Distance between the places of a blade that are followed back to rest [cells]."""
+_AROUND = ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))
+"""Poses and points beside one another, the nearest first."""
+_HALVINGS = 4
+"""Of the way between a point in tissue and one beside it in none."""
 
 
 def refined(poses: Float64, name: str = "blade") -> Float64:
@@ -59,8 +66,10 @@ def _counts(poses: Float64, axis: int) -> Int64:
     return counts
 
 
-def places_at_rest(model: LatticeModel, displacement: Float32, points: npt.ArrayLike) -> Float64:
-    """Places at rest of some places now [cells, frame of the nodes], shape (..., 3).
+def places_at_rest(
+    model: LatticeModel, displacement: Float32, points: npt.ArrayLike, parted: PartedLattice | None = None
+) -> tuple[Float64, Bool]:
+    """Places at rest of some places now [cells, frame of the nodes], and which lie in no tissue, (..., 3) and (...).
 
     Parameters
     ----------
@@ -70,12 +79,73 @@ def places_at_rest(model: LatticeModel, displacement: Float32, points: npt.Array
         Displacement of its nodes [cells], shape (node_count, 3).
     points
         Places now [cells, frame of the nodes], shape (..., 3).
+    parted
+        How the lattice was parted, where it was cut. A place between lips that are held apart is in the tissue of
+        neither: the cells of both reach over it.
     """
     places = np.asarray(points, dtype=np.float64)
+    is_open = np.zeros(places.shape[:-1], np.bool_)
     if not displacement.any():
-        return places.copy()
+        return places.copy(), is_open
     result = np.empty((places.size // 3, 3))
     corners = (CORNER_OFFSETS - 0.5).astype(np.float64)
     middles = model.cells.astype(np.float64) + 0.5
-    follow_back(places.reshape(-1, 3), middles, model.cell_corners, displacement, corners, _REACH, result)
-    return result.reshape(places.shape)
+    tissue = Tissue(middles, model.cell_corners, displacement, corners, *_parted_cells(model, parted))
+    follow_back(places.reshape(-1, 3), tissue, _REACH, result, is_open.reshape(-1))
+    return result.reshape(places.shape), is_open
+
+
+def blade_at_rest(
+    model: LatticeModel, displacement: Float32, points: Float64, parted: PartedLattice | None = None
+) -> Float64:
+    """What a blade sweeps now, at rest: the same poses and points, NaN where it meets no tissue.
+
+    Only what it passes in tissue is cut. A point beside such a one is drawn near to it, until it has just left the
+    tissue, so that the cut goes to the lip and not beyond.
+
+    Parameters
+    ----------
+    model, displacement, parted
+        As of :func:`places_at_rest`.
+    points
+        Places now [cells, frame of the nodes], shape (pose_count, point_count, 3).
+    """
+    rest, is_open = places_at_rest(model, displacement, points, parted)
+    if not is_open.any():
+        return rest
+    meets = np.pad(~is_open, 1)
+    around = np.pad(points, ((1, 1), (1, 1), (0, 0)))
+    rows, columns = is_open.shape
+    is_edge, inner = np.zeros_like(is_open), np.zeros_like(points)
+    for row, column in _AROUND:
+        here = (slice(1 + row, 1 + row + rows), slice(1 + column, 1 + column + columns))
+        is_beside = is_open & ~is_edge & meets[here]
+        inner[is_beside] = around[here][is_beside]
+        is_edge |= is_beside
+    within, outside = inner[is_edge], points[is_edge]
+    at_edge = rest[is_edge]
+    for _ in range(_HALVINGS):
+        middle = (within + outside) / 2
+        found, beyond = places_at_rest(model, displacement, middle, parted)
+        within = np.where(beyond[:, None], within, middle)
+        outside = np.where(beyond[:, None], middle, outside)
+        at_edge = np.where(beyond[:, None], found, at_edge)
+    rest[is_open] = np.nan
+    rest[is_edge] = at_edge
+    return rest
+
+
+def _parted_cells(model: LatticeModel, parted: PartedLattice | None) -> tuple[Int64, Int64, Int32]:
+    """Place among the cells that were parted of each cell, its piece's number there, and their samples."""
+    place, number = np.full(model.cell_count, -1), np.zeros(model.cell_count, np.int64)
+    if parted is None:
+        return place, number, np.zeros((0, SAMPLES**3), np.int32)
+    pieces = parted.pieces
+    several = np.flatnonzero(pieces.counts > 1)
+    further = pieces.counts[several] - 1
+    place[pieces.cells[several]] = np.arange(len(several))
+    # The first piece has the number of its cell; those of further pieces follow all uncut cells.
+    after = model.cell_count - int(further.sum())
+    place[after:] = np.repeat(np.arange(len(several)), further)
+    number[after:] = 1 + np.arange(further.sum()) - np.repeat(np.cumsum(further) - further, further)
+    return place, number, pieces.samples[several]

@@ -2,18 +2,45 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float32, Float64, Int32, Int64
+from heartcase.simulator.cutting.crossings import SAMPLES
 
-__all__ = ["follow_back"]
+__all__ = ["Tissue", "follow_back"]
 
-_CANDIDATES = 8
+_CANDIDATES = 16
 """Cells nearest to a place in which it is looked for."""
+_AVERAGED = 8
+"""The nearest of these, as which a place beside the tissue moves."""
 _BESIDE = 0.6
 """How far from its centre along an axis a place still belongs to a cell [edges]."""
 _ROUNDS = 6
 """Of Newton's method."""
+_TOUCHING = 0.1
+"""How far from the tissue of a piece a place still belongs to it [edges]."""
+
+
+class Tissue(NamedTuple):
+    """Cells, how their nodes have moved, and of those that were parted which samples are theirs."""
+
+    centres: Float64
+    """Of each cell at rest [cells], shape (cell_count, 3)."""
+    corners: Int32
+    """Shape (cell_count, 8)."""
+    displacement: Float32
+    """Of each node [cells], shape (node_count, 3)."""
+    offsets: Float64
+    """Of a cell's corners from its centre, shape (8, 3)."""
+    piece_cells: Int64
+    """Cells that were parted, as places among ``piece_samples``, -1 where a cell is whole, shape (cell_count,)."""
+    piece_numbers: Int64
+    """Which of the pieces there each cell is, shape (cell_count,)."""
+    piece_samples: Int32
+    """Piece of each sample of cells that were parted, shape (any, SAMPLES^3)."""
 
 
 @kernel(cached=False)
@@ -33,8 +60,14 @@ def _solve(matrix, gap, local):
 
 
 @kernel(cached=False)
-def _local_place(point, centre, nodes, displacement, corners, local):
+def _local_place(point, tissue, cell, local):
     """Place in a cell from its centre at rest, and the largest of its components: inside up to one half."""
+    centre, nodes, displacement, corners = (
+        tissue.centres[cell],
+        tissue.corners[cell],
+        tissue.displacement,
+        tissue.offsets,
+    )
     local[:] = 0.0
     matrix = np.empty((3, 3))
     gap = np.empty(3)
@@ -65,6 +98,21 @@ def _local_place(point, centre, nodes, displacement, corners, local):
 
 
 @kernel(cached=False)
+def _away_from_tissue(local, samples, number):
+    """Distance of a place in a cell from the samples of one of its pieces along the axis where it is largest."""
+    least = np.inf
+    half = 0.5 / SAMPLES
+    for sample in range(len(samples)):
+        if samples[sample] != number:
+            continue
+        x = abs(local[0] + 0.5 - (sample % SAMPLES + 0.5) / SAMPLES)
+        y = abs(local[1] + 0.5 - (sample // SAMPLES % SAMPLES + 0.5) / SAMPLES)
+        z = abs(local[2] + 0.5 - (sample // SAMPLES**2 + 0.5) / SAMPLES)
+        least = min(least, max(max(x, y, z) - half, 0.0))
+    return least
+
+
+@kernel(cached=False)
 def _find_nearest(point, now, listed, nearest, away):
     """Write the cells among some whose middles are nearest to a point, and the squares of how far, else infinity."""
     away[:] = np.inf
@@ -81,13 +129,13 @@ def _find_nearest(point, now, listed, nearest, away):
 
 
 @kernel
-def follow_back(points, centres, cell_corners, displacement, corners, reach, result):
-    """Write the place at rest of each point, from the cells around it, whose centres at rest are given.
+def follow_back(points, tissue, reach, result, is_open):
+    """Write the place at rest of each point, from the cells around it, and whether it lies in no tissue.
 
-    Those within ``reach`` of the box around all points are looked at first, in case they are enough; the result is the
+    Cells within ``reach`` of the box around all points are looked at first, in case they are enough; the result is the
     same whatever it is.
     """
-    cell_count = len(centres)
+    cell_count = len(tissue.centres)
     now = np.empty((cell_count, 3))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for point in range(len(points)):
@@ -101,8 +149,8 @@ def follow_back(points, centres, cell_corners, displacement, corners, reach, res
         for axis in range(3):
             total = 0.0
             for corner in range(8):
-                total += displacement[cell_corners[cell, corner], axis]
-            now[cell, axis] = centres[cell, axis] + total / 8.0
+                total += tissue.displacement[tissue.corners[cell, corner], axis]
+            now[cell, axis] = tissue.centres[cell, axis] + total / 8.0
             inside &= low[axis] <= now[cell, axis] <= high[axis]
         if inside:
             near[count] = cell
@@ -114,26 +162,33 @@ def follow_back(points, centres, cell_corners, displacement, corners, reach, res
         # A cell beyond the box is further away than it reaches, whatever was rounded.
         if away[_CANDIDATES - 1] >= 0.999 * reach * reach:
             _find_nearest(points[point], now, every, nearest, away)
-        least = np.inf
+        # A cell that was parted takes up its cube with others: a place there belongs to it where its own tissue is.
+        least, is_parted, size_there = np.inf, False, np.inf
         for candidate in range(_CANDIDATES):
             cell = nearest[candidate]
             if cell < 0:
                 break
-            size = _local_place(points[point], centres[cell], cell_corners[cell], displacement, corners, local)
-            if size < least:
-                least = size
-                best[:] = centres[cell] + local
-            if least <= 0.5:
+            size = _local_place(points[point], tissue, cell, local)
+            if size == np.inf:
+                continue
+            off, place = max(size - 0.5, 0.0), tissue.piece_cells[cell]
+            if place >= 0:
+                off = _away_from_tissue(local, tissue.piece_samples[place], tissue.piece_numbers[cell])
+            if off < least:
+                least, is_parted, size_there = off, place >= 0, size
+                best[:] = tissue.centres[cell] + local
+            if least <= 0.0:
                 break
-        if least <= _BESIDE:
+        is_open[point] = least > _TOUCHING if is_parted else least == np.inf
+        if is_parted or size_there <= _BESIDE:
             result[point] = best
             continue
         # Beside the tissue: as the nearest cells have moved, on average, so that no two places near each other part.
         total = 0.0
         best[:] = 0.0
-        for candidate in range(_CANDIDATES):
+        for candidate in range(_AVERAGED):
             if nearest[candidate] >= 0:
                 weight = 1.0 / (away[candidate] + 1e-6)
                 total += weight
-                best += weight * (now[nearest[candidate]] - centres[nearest[candidate]])
+                best += weight * (now[nearest[candidate]] - tissue.centres[nearest[candidate]])
         result[point] = points[point] - best / total

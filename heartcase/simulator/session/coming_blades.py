@@ -16,7 +16,7 @@ from heartcase.simulator.simulation import Simulation
 
 __all__ = ["ComingBlades"]
 
-_Pose = tuple[Vector3, ...]
+_Pose = tuple[Vector3 | None, ...]
 
 POSES_MOST = 256
 """Poses of a cut that others are joined to."""
@@ -63,7 +63,7 @@ class ComingBlades:
         SimulationError
             It cannot be made.
         """
-        blade_points(simulation.model, resolved.poses_mm, resolved.name)
+        blade_points(simulation.model, resolved.poses_mm, resolved.name, may_be_open=True)
         if self._last is not None and _goes_on(self._last, given, resolved):
             before, poses = self._last.command.poses_mm, resolved.poses_mm
             poses = poses if poses[0] == before[-1] else (before[-1], *poses)

@@ -129,7 +129,7 @@ def changed_lattice(model: LatticeModel, cuts: Cuts, command: Done, *, step_s: f
     if isinstance(command, Snip):
         poses_mm = command.rest_poses_mm
     if isinstance(command, Cut | Snip) and poses_mm is not None:
-        cut, cuts, _ = cut_further(model, cuts, blade_points(model, poses_mm, command.name))
+        cut, cuts, _ = cut_further(model, cuts, blade_points(model, poses_mm, command.name, may_be_open=True))
         return cut, cuts
     return _joined(patched_lattice(model, cuts, command, step_s=step_s), command, step_s=step_s), cuts
 

@@ -38,9 +38,9 @@ def resolved_snip(simulation: Simulation, command: Snip) -> Snip:
     return command if poses is None else command.model_copy(update={"rest_poses_mm": as_poses(poses)})
 
 
-def as_poses(poses: Float64) -> tuple[tuple[Vector3, ...], ...]:
-    """Poses of a blade, shape (pose_count, point_count, 3), as commands hold them."""
-    return tuple(tuple((x, y, z) for x, y, z in pose) for pose in poses.tolist())
+def as_poses(poses: Float64) -> tuple[tuple[Vector3 | None, ...], ...]:
+    """Poses of a blade at rest, shape (pose_count, point_count, 3), as commands hold them: None where it is NaN."""
+    return tuple(tuple((x, y, z) if x == x else None for x, y, z in pose) for pose in poses.tolist())
 
 
 def perform_tool(simulation: Simulation, command: Done) -> None:

@@ -31,6 +31,7 @@ from tests.pipeline.analytic_structures import (
     union,
     without,
 )
+from tests.thoroughly import thoroughly
 
 RATIOS = (1.5, 2.0, 3.0, 4.0)
 PIN = Pin(position_mm=(0.0, 0.0, 0.0), radius_mm=60.0)
@@ -188,7 +189,7 @@ def offsets(count, ratio):
 
 
 @pytest.mark.parametrize("repair", [True, False])
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("ratio", thoroughly(RATIOS, 0, 2))
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (1.0, 1.0, 1.0)])
 def test_a_septum_of_one_voxel(normal, ratio, repair):
     for shift in offsets(2, ratio):
@@ -199,7 +200,7 @@ def test_a_septum_of_one_voxel(normal, ratio, repair):
 
 
 @pytest.mark.parametrize("repair", [True, False])
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("ratio", thoroughly(RATIOS, 0, 2))
 def test_a_defect_of_one_and_a_half_cells(ratio, repair):
     # Narrower where nothing is repaired, so that it closes at some of the offsets.
     closed = 0
@@ -215,7 +216,7 @@ def test_a_defect_of_one_and_a_half_cells(ratio, repair):
 
 
 @pytest.mark.parametrize("repair", [True, False])
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("ratio", thoroughly(RATIOS, 0, 2))
 def test_two_vessels_that_touch(ratio, repair):
     for shift in offsets(2, ratio):
         judged = Judged(touching_vessels(), lattice(13.0, (0.5, 0.5, 0.5), shift=shift), ratio / 2, repair=repair)
@@ -224,7 +225,7 @@ def test_two_vessels_that_touch(ratio, repair):
         judged.check(ball(6.0), kept=repair)
 
 
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("ratio", thoroughly(RATIOS, 0, 2))
 def test_a_chamber_open_at_the_border(ratio):
     for shift in offsets(2, 1.0):
         judged = Judged(open_chamber(), lattice(13.0, shift=shift), ratio)
@@ -239,7 +240,7 @@ def test_a_chamber_open_at_the_border(ratio):
         assert not at_chamber.any()
 
 
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("ratio", thoroughly(RATIOS, 0, 2))
 def test_checkerboard_noise(ratio):
     volume = lattice(13.0, shift=(0.5, 0.5, 0.5))
     judged = Judged(checkerboard(), volume, ratio)
@@ -252,7 +253,7 @@ def test_checkerboard_noise(ratio):
 
 
 @pytest.mark.parametrize("repair", [True, False])
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("ratio", thoroughly(RATIOS, 0, 2))
 def test_a_thin_sheet_like_a_valve(ratio, repair):
     for shift in offsets(2, ratio):
         judged = Judged(valve(), lattice(13.0, (0.5, 0.5, 0.5), shift=shift), ratio / 2, repair=repair)
@@ -261,7 +262,7 @@ def test_a_thin_sheet_like_a_valve(ratio, repair):
         judged.check(lambda places: np.abs(ball(10.6, (0.0, 0.0, -7.5))(places)), kept=repair)
 
 
-@pytest.mark.parametrize("ratio", RATIOS)
+@pytest.mark.parametrize("ratio", thoroughly(RATIOS, 0, 2))
 def test_a_ring_that_closes_is_reported_in_its_middle(ratio):
     # Its hole is half a cell wide: no label tells blood from outside, so no repair opens it.
     ring = torus(2.0 + 0.25 * ratio, 2.0)

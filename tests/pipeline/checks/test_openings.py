@@ -125,6 +125,7 @@ def test_the_area_of_a_ball_within_another_cavity(kind):
     height=st.floats(-6.0, 6.0),
 )
 @example(normal=np.array((0.5, -1.0, -0.375)), height=0.0)  # the worst that was met: 4.8%
+@pytest.mark.thorough
 def test_neither_the_plane_s_direction_nor_which_label_is_the_lower_changes_the_area(normal, height):
     normal = normal / np.linalg.norm(normal)
     structures = halves(lattice("oblique", 34.0), normal, height)
@@ -430,7 +431,7 @@ SEPTUM = ("morphologically left atrium", "morphologically right atrium")
     ("size", "spacing", "oblique"),
     [
         ("adult", 2.0, False),
-        ("adult", (1.5, 1.8, 3.0), True),
+        pytest.param("adult", (1.5, 1.8, 3.0), True, marks=pytest.mark.thorough),
         pytest.param("child", 1.2, False, marks=pytest.mark.slow),
     ],
 )

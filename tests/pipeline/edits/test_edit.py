@@ -16,6 +16,7 @@ from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.recipe.edit_settings import CloseDefect, KeepLargest, Sculpt, SeptalDefect
 from heartcase.schemas.recipe.settings import WallsSettings
 from tests.pipeline.lattices import LATTICES, lattice, points_of
+from tests.thoroughly import thoroughly
 
 NORMAL = np.array([0.48, 0.6, 0.64])
 SIDE = np.array([0.8, -0.6, 0.0]) / np.linalg.norm([0.8, -0.6, 0.0])
@@ -81,7 +82,7 @@ def disc(height=0.0, half=8.0, count=321):
     return height * NORMAL + u[..., None] * SIDE + v[..., None] * UP, u, v
 
 
-@pytest.mark.parametrize("kind", LATTICES)
+@pytest.mark.parametrize("kind", thoroughly(LATTICES, 0, len(LATTICES) - 1))
 @pytest.mark.parametrize("diameter", [2.0, 5.0])
 def test_a_defect_has_its_diameter_and_place(kind, diameter):
     structures = two_cavities(kind)
@@ -117,7 +118,7 @@ def in_shape(shape, long, short, u, v):
     return np.hypot(np.maximum(np.abs(u) - 0.5 * (long - short), 0.0), v) < 0.5 * short
 
 
-@pytest.mark.parametrize("kind", LATTICES)
+@pytest.mark.parametrize("kind", thoroughly(LATTICES, 0, len(LATTICES) - 1))
 @pytest.mark.parametrize("shape", ["elliptic", "slit"])
 def test_a_defect_has_its_shape(kind, shape):
     structures = two_cavities(kind)
@@ -204,7 +205,7 @@ def test_background_in_the_canal_stays_background():
     assert (owners(edited, outside) == 0).all()
 
 
-@pytest.mark.parametrize("kind", LATTICES)
+@pytest.mark.parametrize("kind", thoroughly(LATTICES, 0, len(LATTICES) - 1))
 @pytest.mark.parametrize("thickness", [0.6, 2.0])
 def test_a_patch_closes_the_defect_and_has_its_thickness(kind, thickness):
     edited = apply_edits(two_cavities(kind), (defect(6.0), patch(10.0, thickness=thickness)))

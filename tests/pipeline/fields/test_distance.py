@@ -9,6 +9,7 @@ from skimage import measure
 from heartcase.pipeline.fields.compartments import bridging_voxels
 from heartcase.pipeline.fields.distance import default_smoothing_mm, label_distances, signed_distance
 from tests.pipeline.lattices import directions, lattice, points_of
+from tests.thoroughly import thoroughly
 
 AXIS = np.array([0.36, -0.48, 0.8])
 
@@ -183,7 +184,7 @@ def test_same_labels_same_bytes():
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.7, 1.1, 2.0)])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", thoroughly(range(4)))
 def test_redistancing_of_random_levels_is_that_of_a_fine_mesh(seed, spacing):
     rng = np.random.default_rng(seed)
     size = np.array([26, 30, 34])

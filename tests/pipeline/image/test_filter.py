@@ -18,6 +18,7 @@ from heartcase.pipeline.image.filter_scan import default_conductance, filter_sca
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.settings import FilterSettings
+from tests.thoroughly import thoroughly
 
 EPSILON = float(np.finfo(np.float32).eps)
 ANISOTROPIC = (0.7, 1.1, 2.5)
@@ -348,7 +349,7 @@ def chest():
     return geometry, signals
 
 
-@pytest.mark.parametrize("contrast_to_noise", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize("contrast_to_noise", thoroughly([5.0, 10.0, 20.0], 1))
 @pytest.mark.parametrize("units", [MRI_UNITS, CT_UNITS], ids=["mri", "ct"])
 def test_the_default_conductance_suits_every_level_of_noise_in_a_chest(chest, units, contrast_to_noise):
     """A conductance of 1, the default of before, suits one of them."""

@@ -345,6 +345,7 @@ def test_only_creases_are_smoothed_and_by_less_than_half_a_cell():
 
 
 @pytest.mark.parametrize("count", [250, *(pytest.param(count, marks=pytest.mark.slow) for count in (300, 350))])
+@pytest.mark.thorough
 def test_sheets_that_so_few_triangles_would_cross_get_more_of_them(count):
     # two curved sheets 0.8 mm apart, which so few triangles are too coarse for
     def sheets(p):

@@ -107,6 +107,7 @@ def test_picture_has_true_lengths():
     assert covered == pytest.approx(np.pi * 100.0, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_rasteriser_draws_what_vtk_draws(tmp_path):
     code = (
         "import sys, numpy as np\n"

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
+from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.blade_sheet import Sheet, key_indices
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.cutting.rest_space import places_at_rest, refined
-from heartcase.simulator.cutting.rest_space_kernels import follow_back
+from heartcase.simulator.cutting.descent import cells_of_samples
+from heartcase.simulator.cutting.rest_space import blade_at_rest, places_at_rest, refined
+from heartcase.simulator.cutting.rest_space_kernels import Tissue, follow_back
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.state import State
@@ -162,11 +163,12 @@ def test_a_blade_cuts_what_it_meets(seed, size):
     shift = size * rng.uniform(-5, 5, 3)
     displacement = (model.node_index @ (stretch - np.eye(3)).T + shift).astype(np.float32)
     places = rng.uniform((0, 0, 0), (6, 5, 4), (40, 3))
-    found = places_at_rest(model, displacement, places @ stretch.T + shift)
+    found, is_open = places_at_rest(model, displacement, places @ stretch.T + shift)
+    assert not is_open.any()
     np.testing.assert_allclose(found, places, atol=1e-4)
     # Beside it nothing is torn: neighbours stay neighbours.
     beside = np.linspace((-3.0, 2, 2), (12.0, 3, 2), 40) + shift
-    back = places_at_rest(model, displacement, beside)
+    back, _ = places_at_rest(model, displacement, beside)
     assert np.linalg.norm(np.diff(back, axis=0), axis=1).max() < 0.4 + 2.5 * size
     # In a cell that is warped, what its trilinear displacements say.
     displacement += random_field(model, seed % 1000, 0.1 * size)
@@ -176,7 +178,7 @@ def test_a_blade_cuts_what_it_meets(seed, size):
     weight = np.where(corner[None] == 1, inside[:, None], 1 - inside[:, None]).prod(axis=2)
     at = model.cells[cells] + inside
     now = at + np.einsum("nc,nci->ni", weight, displacement[model.cell_corners[cells]].astype(float))
-    np.testing.assert_allclose(places_at_rest(model, displacement, now), at, atol=1e-4)
+    np.testing.assert_allclose(places_at_rest(model, displacement, now)[0], at, atol=1e-4)
 
 
 def test_a_blade_is_refined_along_both_of_its_ways():
@@ -279,8 +281,54 @@ def test_places_at_rest_do_not_depend_on_which_cells_are_looked_at_first(reach):
     draw = np.random.default_rng(5)
     displacement = draw.normal(0, 0.15, (model.node_count, 3)).astype(np.float32)
     points = draw.uniform(-2.0, 7.0, (60, 3))
-    given = (points, model.cells + 0.5, model.cell_corners, displacement, CORNER_OFFSETS - 0.5)
+    whole = (np.full(model.cell_count, -1), np.zeros(model.cell_count, np.int64), np.zeros((0, 512), np.int32))
+    tissue = Tissue(model.cells + 0.5, model.cell_corners, displacement, CORNER_OFFSETS - 0.5, *whole)
     found, wanted = np.empty_like(points), np.empty_like(points)
-    follow_back(*given, reach, found)
-    follow_back(*given, np.inf, wanted)
+    is_open, is_wanted = np.empty((2, len(points)), np.bool_)
+    follow_back(points, tissue, reach, found, is_open)
+    follow_back(points, tissue, np.inf, wanted, is_wanted)
     np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_array_equal(is_open, is_wanted)
+    assert is_open.any()
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.3, 1.0])
+def test_a_blade_between_lips_that_are_held_apart_cuts_only_what_it_meets(aside):
+    """The usual way to make an incision longer: through the gap, and on into whole tissue."""
+    uncut, width = block(16, 10, 8), 6.0
+    incision = Sheet.swept([[[8.3, -1.0, 9.0], [8.3, -1.0, 2.6]], [[8.3, 7.0, 9.0], [8.3, 7.0, 2.6]]])
+    cuts, _ = Cuts(uncut, FULL).with_sheet(incision)
+    model = cuts.model
+    middle, count = np.zeros((2, model.node_count))
+    np.add.at(middle, model.cell_corners, (model.cells + 0.5 + model.cell_moments[:, :3])[:, :1])
+    np.add.at(count, model.cell_corners, 1)
+    x, y, z = model.node_index.T.astype(float)
+    opening = width / 2 * np.clip((z - 2.6) / 5.4, 0, 1) * np.clip((7 - y) / 7, 0, 1)
+    displacement = np.zeros((model.node_count, 3), np.float32)
+    displacement[:, 0] = np.sign(middle / count - 8.3) * opening * np.clip(1 - np.abs(x - 8.3) / 8, 0, 1)
+    at = 8.3 + aside
+    blade = refined(np.array([[[at, 1.0, 9.0], [at, 1.0, 3.0]], [[at, 9.0, 9.0], [at, 9.0, 3.0]]]))
+    rest = blade_at_rest(model, displacement, blade, cuts.parted)
+    further = Sheet.swept(rest)
+    assert np.isnan(rest).any()
+
+    # Each link that is crossed lies now where the blade went by: a plane.
+    pieces = cells_of_samples(uncut, cuts.parted, np.arange(uncut.cell_count))
+    for axis, keys in enumerate(further.links):
+        keys = np.setdiff1d(keys, incision.links[axis])
+        sample = key_indices(keys)
+        inside = ((sample >= 0) & (sample + np.eye(3, dtype=int)[axis] < np.array([16, 10, 8]) * 8)).all(axis=1)
+        sample = sample[inside]
+        cell = pieces[np.searchsorted(lattice_keys(uncut.cells), lattice_keys(sample // 8)), sample % 8 @ [1, 8, 64]]
+        local = (sample % 8 + 0.5 + np.eye(3)[axis] / 2) / 8
+        weight = np.where(CORNER_OFFSETS == 1, local[:, None], 1 - local[:, None]).prod(axis=2)
+        now = model.cells[cell, 0] + local[:, 0]
+        now = now + np.einsum("nc,nc->n", weight, displacement[model.cell_corners[cell], 0].astype(float))
+        # Into the other lip it comes by one sample at most, so that nothing is left between it and the incision.
+        is_at_lip = np.abs((sample[:, 0] + 0.5 + (axis == 0) / 2) / 8 - 8.3) < 0.2
+        assert np.abs(now - at)[~is_at_lip].max(initial=0.0) < 0.3
+    # And the whole tissue before it is parted, to where the blade came.
+    longer, _ = cuts.with_sheet(further)
+    for j in (5, 6, 7, 8):
+        there = (longer.model.node_index == (int(at), j, 7)).all(axis=1)
+        assert there.sum() >= 2

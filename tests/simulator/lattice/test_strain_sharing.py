@@ -111,6 +111,7 @@ def test_the_mean_of_a_uniform_strain_is_that_strain(model, seed):
 
 @settings(max_examples=20, deadline=None)
 @given(random_models(size_max=(6, 4, 4)), SEEDS)
+@pytest.mark.thorough
 def test_sharing_raises_no_frequency(model, seed):
     """A mean of strains stores at most what the strains do (Jensen's inequality)."""
     rng = np.random.default_rng(seed)

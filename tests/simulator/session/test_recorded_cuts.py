@@ -14,7 +14,7 @@ from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.session.script import parse_script, run_script
 from heartcase.simulator.simulation import Simulation
-from tests.simulator.cutting.test_cuts import across_bar
+from tests.simulator.cutting.test_cuts import across_bar, blade_mm
 from tests.simulator.lattices import block, oblique_geometry
 
 
@@ -142,3 +142,32 @@ def test_commands_that_are_no_cut_are_refused():
     ):
         with pytest.raises(RecordingError, match="pose"):
             parse_command({"kind": "cut", "poses_mm": poses})
+
+
+def test_a_blade_in_the_gap_of_a_cut_is_recorded_where_it_met_tissue(tmp_path):
+    model = bar()
+    session = OperatingSession(Simulation(model, sleep_mm=0))
+    with Recorder(session, tmp_path / "a.recording"):
+        session.do(Cut(poses_mm=as_tuples(across_bar(model, 4.3, 3.3))))
+        hand = pull(model)[0]
+        down = -3.0 * (blade_mm(model, [0, 0, 1]) - blade_mm(model, [0, 0, 0]))
+        session.do(hand)
+        session.do(LeadGrab(name=hand.name, offset_mm=tuple(down.tolist())))
+        session.do(Advance(steps=400))
+        # Between the lips at the top, and in tissue further down.
+        poses = [[[place, -1.0, 5.0], [place, -1.0, 0.5]] for place in (4.7, 4.7)]
+        poses[1][0][1] = poses[1][1][1] = 5.0
+        session.do(Cut(poses_mm=as_tuples(blade_mm(model, poses))))
+        session.do(Advance(steps=20))
+    cut = [entry.command for entry in session.entries if isinstance(entry.command, Cut)][-1]
+    places = [point for pose in cut.poses_mm for point in pose]
+    assert None in places
+    assert any(places)
+    assert parse_command(cut.model_dump(mode="json")) == cut
+    with pytest.raises(RecordingError, match="where it is not at rest"):
+        parse_command({**cut.model_dump(mode="json"), "at_rest": False})
+    again = load_session(open_recording(tmp_path / "a.recording"), model)
+    for _ in again.play():
+        pass
+    assert not again.deviations
+    assert bytes_of(again.simulation) == bytes_of(session.simulation)

@@ -55,6 +55,7 @@ from tests.simulator.session.sessions import (
     fingerprint,
     operate,
 )
+from tests.thoroughly import thoroughly
 
 ROOT = Path(__file__).parents[3]
 
@@ -82,7 +83,7 @@ def recording(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("law", ["springs", "element"])
-@pytest.mark.parametrize(("backend", "sleep_mm"), [("cpu", 0.0), ("cpu", 0.2), ("reference", 0.0)])
+@pytest.mark.parametrize(("backend", "sleep_mm"), thoroughly([("cpu", 0.0), ("cpu", 0.2), ("reference", 0.0)], 1))
 def test_a_replay_comes_to_the_same_bytes(tmp_path, backend, law, sleep_mm):
     path = tmp_path / "one.recording"
     end = recorded(path, backend=backend, law=law, sleep_mm=sleep_mm)
@@ -99,7 +100,7 @@ def test_a_replay_comes_to_the_same_bytes(tmp_path, backend, law, sleep_mm):
     assert check_recording(path) == []
 
 
-@pytest.mark.parametrize(("law", "sleep_mm"), [("springs", 0.0), ("springs", 0.2), ("element", 0.2)])
+@pytest.mark.parametrize(("law", "sleep_mm"), thoroughly([("springs", 0.0), ("springs", 0.2), ("element", 0.2)], 1, 2))
 def test_threads_do_not_matter(tmp_path, law, sleep_mm):
     """Recorded by one, repeated by two and by three, each with its own share of the lattice."""
     size = (16, 4, 12)

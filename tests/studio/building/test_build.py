@@ -99,6 +99,7 @@ def test_a_build_tells_its_stages_and_what_came_of_it(built):
     assert end["case"]["volumes_ml"]["cavity"] == pytest.approx(4 / 3 * np.pi * 14**3 / 1000, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_the_page_is_told_when_the_case_is_older_than_the_recipe(copy):
     text = copy.read_text()
     with studio(copy) as browser, building(browser) as told:
@@ -231,6 +232,7 @@ def test_warnings_have_the_places_that_the_build_or_their_sentence_tells(tmp_pat
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize("ending", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+@pytest.mark.thorough
 def test_a_server_that_ends_ends_its_build_and_leaves_the_old_case_whole(copy, ending, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(copy.parent / "state"))
     out = copy.parent / "out"
@@ -264,6 +266,7 @@ def test_what_a_build_notes_holds_no_path(built):
     assert str(path.parent) not in json.dumps(told)
 
 
+@pytest.mark.thorough
 def test_what_lies_in_the_folder_that_it_was_started_in_is_not_run(copy, monkeypatch):
     """A folder that came from elsewhere may hold anything."""
     folder = copy.parent / "came"

@@ -56,7 +56,7 @@ class CellArrays(NamedTuple):
     rows: Int64
     """Rows of the windows that hold cells, shape (count, 9)."""
     numbers: Float32
-    """Numbers of the cells, CELL_NUMBERS a lane."""
+    """Numbers of the cells, of each window's lanes by themselves, shape (count, CELL_NUMBERS, 8)."""
     force: Float32
     """Room for their forces on the nodes of each chunk, three numbers a lane, of CHUNKS_PER_ROOM chunks side by side,
     shape (any, any)."""
@@ -74,11 +74,18 @@ class SharingArrays(NamedTuple):
     """What elements need that share strain; of length 0 where none do."""
 
     shares: Float32
-    """Stiffness of each cell that is strained by the mean around each corner, and by itself [k/h]: nine numbers a
-    lane."""
+    """Stiffness of each cell that is strained by the mean around each corner, and by itself [k/h], of each window of
+    cells by itself, shape (cell_window_count, 9, 8)."""
+    node_shares: Float32
+    """The same of the eight cells around each node, with their corner there, then the inverse of all that shares strain
+    around it [h/k], zero where nothing does, of each window of nodes by itself, shape (window_count, 9, 8)."""
+    ghost_shares: Float32
+    """The same of each ghost's cell, in the order of ``GhostArrays.ghost_number``, shape (irregular_count * 8,)."""
+    ghost_sums: Float32
+    """Room for what irregular cells add to the sums around the nodes of each window with ghosts, zeros at first, shape
+    (any, 9, 8)."""
     gradient: Float32
-    """Room for F - 1 of each cell, nine numbers a lane; then the inverse of the stiffness that shares strain around
-    each node [h/k], zero where there is none."""
+    """Room for F - 1 of each cell, nine numbers a lane."""
     stress: Float32
     """Room for the stress of the mean strain around each node, nine numbers a lane."""
     is_sharing: Int8
@@ -102,9 +109,7 @@ class InstrumentArrays(NamedTuple):
     """What instruments do to the tissue."""
 
     explicit: ExplicitArrays
-    """Lanes with explicit springs, their windows, where the springs of each begin (and the last end); lane at the other
-    end, offset, excess and stiffness of each, as of
-    :class:`heartcase.simulator.lattice.explicit_springs.SpringsByNode`."""
+    """Explicit springs, and those of the lattice that are irregular."""
     probes: Float32
     """As of :func:`heartcase.simulator.engine.shared.contact.probe_row`, shape (probe_count, PROBE_SIZE)."""
     turn: TurnArrays

@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 from heartcase.compiling.emitting import array_data, nothing, room
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.engine.cpu.vector_ir import Lanes, Vector, Window
-from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT
+from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT, SHARE_NUMBERS
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
 from heartcase.simulator.lattice.force_law import LOOK_BELOW
 
@@ -28,10 +28,9 @@ __all__ = [
     "gradient_of_window",
     "guard_of_window",
     "is_flat_window",
-    "mean_of_window",
     "mean_stress_of_window",
+    "mean_stress_of_window_with_more",
     "sharing_element_of_window",
-    "stress_of_window",
     "volume_of_window",
 ]
 
@@ -43,8 +42,8 @@ _CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
 
 _OWN_NUMBER = len(_CORNERS)
 """Place in the shares of a cell of the stiffness that is stretched as the cell is."""
-_INVERSE_NUMBER = 9
-"""Place after a lane's gradient of the inverse of what shares strain around its node."""
+_INVERSE_NUMBER = len(_CORNERS)
+"""Place in a node's shares of the inverse of what shares strain around it."""
 
 _FLOOR_NUMBER = 5
 """Place of the corners' floor in the law's constants."""
@@ -66,16 +65,16 @@ def _make_cell_window(kind: str) -> Any:
             u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
             here = Window(builder, starts, arguments[5])
             corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-            scale = here.load(n, 0)
+            scale = _number(here, n, arguments[5], 0)
             if kind == "element":
                 forces = _math.element(
-                    corners, scale, scale, _moments(here, n), _law(builder, constants), NOTHING_SHARED
+                    corners, scale, scale, _moments(here, n, arguments[5]), _law(builder, constants), NOTHING_SHARED
                 )
             elif kind == "volume":
                 forces = _math.volume_term(corners, scale, _constant(builder, constants, 0))
             else:
                 floor = _constant(builder, constants, _FLOOR_NUMBER)
-                forces = _math.corner_guard(corners, here.load(n, CELL_NUMBERS - 1), floor)
+                forces = _math.corner_guard(corners, _number(here, n, arguments[5], CELL_NUMBERS - 1), floor)
             _add_forces(here, f, forces)
             return nothing(context) if kind == "guard" else _has_flat_corner(here, corners, scale)
 
@@ -97,9 +96,11 @@ def sharing_element_of_window(typing_context, displacement, numbers, shares, str
         u, n, w, p, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
         here = Window(builder, starts, arguments[7])
         corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-        shared = _sum(here, w, p, [(number, offset, (0, 0, 0)) for number, offset in enumerate(_CORNERS)])
-        scale, own = here.load(n, 0), here.load(w, _OWN_NUMBER)
-        forces = _math.element(corners, scale, own, _moments(here, n), _law(builder, constants), _columns(shared))
+        window_of = arguments[7]
+        shared = _sum(here, w, window_of, p, _CORNERS)
+        scale, own = _number(here, n, window_of, 0), _share(here, w, window_of, _OWN_NUMBER)
+        moments = _moments(here, n, window_of)
+        forces = _math.element(corners, scale, own, moments, _law(builder, constants), _columns(shared))
         _add_forces(here, f, forces)
         return _has_flat_corner(here, corners, scale)
 
@@ -115,70 +116,45 @@ def gradient_of_window(typing_context, displacement, numbers, gradient, rows, wi
         u, n, g, starts = (array_data(context, builder, *pair) for pair in arrays)
         here = Window(builder, starts, arguments[4])
         corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-        _store(here, g, _math.gradient(corners, _moments(here, n)))
+        _store(here, g, _math.gradient(corners, _moments(here, n, arguments[4])))
         return nothing(context)
 
     return types.void(displacement, numbers, gradient, rows, types.int64), codegen
 
 
-@intrinsic
-def mean_stress_of_window(typing_context, gradient, shares, stress, law, rows, window):
-    """Write the stress, per stiffness, of the mean gradient around a window of nodes."""
+def _make_mean_stress(has_more: bool) -> Any:
+    """The intrinsic that writes the stress of the means around one window of nodes.
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        arrays = zip(signature.args[:5], arguments, strict=False)
-        g, w, p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
-        here = Window(builder, starts, arguments[5])
-        _store(here, p, _math.stretching(_columns(_mean(here, g, w)), _law(builder, constants)))
-        return nothing(context)
+    It takes gradients, the nodes' shares, what is added to each of the sums, the stress, law, rows, the window, and
+    the window's number among those to which something is added.
+    """
 
-    return types.void(gradient, shares, stress, law, rows, types.int64), codegen
+    @intrinsic
+    def stress_of(typing_context, gradient, node_shares, more, stress, law, rows, window, place):
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            arrays = zip(signature.args[:6], arguments, strict=False)
+            g, w, m, p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
+            here = Window(builder, starts, arguments[6])
+            # A node is the corner of the cell behind it by that corner's offset.
+            totals = _sum(here, w, arguments[6], g, [(-i, -j, -k) for i, j, k in _CORNERS])
+            if has_more:
+                totals = [total + _share(here, m, arguments[7], number) for number, total in enumerate(totals)]
+            inverse = _share(here, w, arguments[6], _INVERSE_NUMBER)
+            mean = [total * inverse for total in totals]
+            _store(here, p, _math.stretching(_columns(mean), _law(builder, constants)))
+            return nothing(context)
 
+        return types.void(gradient, node_shares, more, stress, law, rows, types.int64, types.int64), codegen
 
-@intrinsic
-def mean_of_window(typing_context, gradient, shares, mean, rows, window):
-    """Write the mean gradient around a window of nodes."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        arrays = zip(signature.args[:4], arguments, strict=False)
-        g, w, p, starts = (array_data(context, builder, *pair) for pair in arrays)
-        here = Window(builder, starts, arguments[4])
-        _store(here, p, _columns(_mean(here, g, w)))
-        return nothing(context)
-
-    return types.void(gradient, shares, mean, rows, types.int64), codegen
-
-
-@intrinsic
-def stress_of_window(typing_context, stress, law, rows, window):
-    """Write the stress, per stiffness, of the mean gradients around a window of nodes in their place."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        arrays = zip(signature.args[:3], arguments, strict=False)
-        p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
-        here = Window(builder, starts, arguments[3])
-        mean = [here.load(p, number) for number in range(9)]
-        _store(here, p, _math.stretching(_columns(mean), _law(builder, constants)))
-        return nothing(context)
-
-    return types.void(stress, law, rows, types.int64), codegen
+    return stress_of
 
 
-def _mean(here: Window, gradient: Any, shares: Any) -> list[Lanes]:
-    # A node is the corner of the cell behind it by that corner's offset.
-    behind = [(-i, -j, -k) for i, j, k in _CORNERS]
-    inverse = here.load(gradient, _INVERSE_NUMBER)
-    return [total * inverse for total in _sum(here, shares, gradient, [(c, at, at) for c, at in enumerate(behind)])]
-
-
-def _sum(
-    here: Window, shares: Any, values: Any, places: list[tuple[int, tuple[int, int, int], tuple[int, int, int]]]
-) -> list[Lanes]:
-    """Nine numbers each at some offsets, times a share of a number at another offset, added up."""
+def _sum(here: Window, shares: Any, window: Any, values: Any, offsets: list[tuple[int, int, int]]) -> list[Lanes]:
+    """Nine numbers each at eight offsets, times a share of the window's, added up."""
     totals: list[Lanes] = []
-    for number, value_offset, share_offset in places:
-        share = here.load(shares, number, share_offset)
-        terms = [here.load(values, component, value_offset) * share for component in range(9)]
+    for number, offset in enumerate(offsets):
+        share = _share(here, shares, window, number)
+        terms = [here.load(values, component, offset) * share for component in range(SHARE_NUMBERS)]
         totals = [total + term for total, term in zip(totals, terms, strict=True)] if totals else terms
     return totals
 
@@ -193,8 +169,16 @@ def _store(here: Window, array: Any, columns: tuple[Vector, ...]) -> None:
         value.store(here.pointer(array, number))
 
 
-def _moments(here: Window, numbers: Any) -> tuple[Lanes, ...]:
-    return tuple(here.load(numbers, number) for number in range(1, CELL_NUMBERS - 1))
+def _number(here: Window, numbers: Any, window: Any, which: int) -> Lanes:
+    return Lanes.of_window(here.builder, numbers, window, which, CELL_NUMBERS)
+
+
+def _share(here: Window, shares: Any, window: Any, which: int) -> Lanes:
+    return Lanes.of_window(here.builder, shares, window, which, SHARE_NUMBERS)
+
+
+def _moments(here: Window, numbers: Any, window: Any) -> tuple[Lanes, ...]:
+    return tuple(_number(here, numbers, window, number) for number in range(1, CELL_NUMBERS - 1))
 
 
 def _law(builder: Any, constants: Any) -> tuple[Lanes, ...]:
@@ -224,6 +208,8 @@ def _constant(builder: Any, array: Any, number: int) -> Lanes:
 element_of_window = _make_cell_window("element")
 volume_of_window = _make_cell_window("volume")
 guard_of_window = _make_cell_window("guard")
+mean_stress_of_window = _make_mean_stress(has_more=False)
+mean_stress_of_window_with_more = _make_mean_stress(has_more=True)
 
 
 @intrinsic
@@ -271,6 +257,6 @@ def is_flat_window(typing_context, displacement, numbers, rows, window):
         u, n, starts = (array_data(context, builder, *pair) for pair in arrays)
         here = Window(builder, starts, arguments[3])
         corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-        return _has_flat_corner(here, corners, here.load(n, 0))
+        return _has_flat_corner(here, corners, _number(here, n, arguments[3], 0))
 
     return types.boolean(displacement, numbers, rows, types.int64), codegen

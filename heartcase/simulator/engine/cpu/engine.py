@@ -23,6 +23,7 @@ from heartcase.simulator.engine.cpu.autotune import Autotuner
 from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
 from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, chunk_arrays
 from heartcase.simulator.engine.cpu.ghosts import ghost_arrays
+from heartcase.simulator.engine.cpu.instruments import explicit_arrays
 from heartcase.simulator.engine.cpu.kernel import (
     CHUNKS_PER_ROOM,
     ELEMENTS,
@@ -44,8 +45,10 @@ from heartcase.simulator.engine.shared.lanes import (
     ROWS,
     SHARE_NUMBERS,
     cell_layout,
+    cell_numbers,
     inverse_shared,
     lane_layout,
+    share_numbers,
 )
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.lattice.state import State
@@ -209,27 +212,15 @@ class CpuEngine:
         self._kinds = (in_cells, bool(weight.any()), law.has_corner_guard)
         self._cell_arrays = CellArrays(
             self.cells.window_rows,
-            self.cells.numbers(model),
+            _copied(self.cells.by_window(cell_numbers(model))),
             self.cell_force,
             np.array(law.constants, np.float32),
             self.is_flat,
             self.is_touched,
             self.cells.touches,
         )
-        springs = self.layout.springs_apart(model)
-        nodes = np.flatnonzero(np.diff(springs.first))
-        first = np.append(springs.first[nodes], len(springs.other)).astype(np.int64)
-        lanes, windows = self.layout.node_lane, self.layout.node_slot // LANE_COUNT
-        self._explicit = (
-            lanes[nodes],
-            windows[nodes],
-            first,
-            lanes[springs.other],
-            springs.offset,
-            springs.excess,
-            springs.stiffness,
-        )
-        self._springs_apart = springs
+        self._springs_apart = self.layout.springs_apart(model)
+        self._explicit = explicit_arrays(self.layout, self._springs_apart)
         self.model = model
 
     def set_tethers(self, tethers: Tethers) -> None:
@@ -241,17 +232,28 @@ class CpuEngine:
         """What elements need that share strain."""
         is_sharing = np.zeros(len(self.cells.window_rows), np.int8)
         if not model.shares_strain:
-            return SharingArrays(_aligned((0,)), *self._means, is_sharing)
+            none = _aligned((0, SHARE_NUMBERS, LANE_COUNT))
+            return SharingArrays(none, none, _aligned((0,)), none, *self._means, is_sharing)
         if not len(self._means[0]):
-            length = self.layout.length
-            self._means = _aligned((length(SHARE_NUMBERS + 1),)), _aligned((length(SHARE_NUMBERS),))
-        gradient, stress = self._means
+            length = self.layout.length(SHARE_NUMBERS)
+            self._means = _aligned((length,)), _aligned((length,))
         # Cells that share nothing any more are not written, but read, with a share of zero: no number must be left.
-        gradient[:] = 0.0
-        gradient[SHARE_NUMBERS * self.layout.stride + self.layout.node_lane] = inverse_shared(model)
-        window = np.searchsorted(self.cells.window_rows[:, 4], self.cells.cell_lane, side="right") - 1
-        is_sharing[window[model.shared_stiffness.any(axis=1)]] = 1
-        return SharingArrays(self.cells.shares(model), gradient, stress, is_sharing)
+        self._means[0][:] = 0.0
+        shares, ghosts, layout = share_numbers(model), self._ghosts, self.layout
+        inverse = np.zeros((layout.window_count, LANE_COUNT), np.float32)
+        inverse[layout.node_slot // LANE_COUNT, layout.node_slot % LANE_COUNT] = inverse_shared(model)
+        around = np.concatenate([self.cells.by_node_window(shares[:-1]), inverse[:, None]], axis=1)
+        cell = layout.irregular_cells[ghosts.ghost_number // 8]
+        windows = np.unique(self.cells.cell_slot[model.shared_stiffness.any(axis=1)] // LANE_COUNT)
+        is_sharing[windows] = 1
+        return SharingArrays(
+            _copied(self.cells.by_window(shares)),
+            _copied(around),
+            shares[ghosts.ghost_number % 8, cell],
+            _aligned((int(ghosts.window_number.max(initial=-1)) + 1, SHARE_NUMBERS, LANE_COUNT)),
+            *self._means,
+            is_sharing,
+        )
 
     def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, on some nodes or all; only the windows that hold them are worked out."""
@@ -279,3 +281,9 @@ def _aligned(shape: tuple[int, ...]) -> Float32:
     room = np.zeros(int(np.prod(shape)) + line, np.float32)
     shift = -(room.ctypes.data // room.itemsize) % line
     return room[shift : shift + int(np.prod(shape))].reshape(shape)
+
+
+def _copied(values: Float32) -> Float32:
+    copied = _aligned(values.shape)
+    copied[:] = values
+    return copied

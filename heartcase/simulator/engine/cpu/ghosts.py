@@ -18,12 +18,12 @@ from heartcase.simulator.lattice.model import LatticeModel
 __all__ = [
     "GhostArrays",
     "add_ghost_forces",
-    "add_ghosts_to_mean",
     "clear_ghost_forces",
     "follow_movements",
     "follow_nodes",
     "ghost_arrays",
     "share_with_ghosts",
+    "sum_of_ghosts",
 ]
 
 
@@ -40,6 +40,8 @@ class GhostArrays(NamedTuple):
     """Where the nodes of each window of nodes begin that have ghosts, and the last end, shape (window_count + 1,)."""
     node_lane: Int64
     """Their lanes, shape (ghosted_count,)."""
+    window_number: Int64
+    """Number of each window of nodes among those that have such nodes, or -1, shape (window_count,)."""
     ghost_first: Int64
     """Where their ghosts begin, and the last end, shape (ghosted_count + 1,)."""
     ghost_number: Int64
@@ -62,12 +64,15 @@ def ghost_arrays(model: LatticeModel, cells: CellLayout) -> GhostArrays:
     place[ghosted] = np.arange(len(ghosted))
     by_node = np.argsort(place[nodes], kind="stable")
     count = len(ghosted)
+    node_first = np.searchsorted(layout.node_slot[ghosted] // LANE_COUNT, np.arange(layout.window_count + 1))
+    has_ghosts = np.diff(node_first) > 0
     return GhostArrays(
         first_window=cells.ghost_window,
         lane=cells.ghost_lane.ravel(),
         of_lane=layout.node_lane[nodes],
-        node_first=np.searchsorted(layout.node_slot[ghosted] // LANE_COUNT, np.arange(layout.window_count + 1)),
+        node_first=node_first,
         node_lane=layout.node_lane[ghosted],
+        window_number=np.where(has_ghosts, np.cumsum(has_ghosts) - 1, -1),
         ghost_first=np.searchsorted(place[nodes][by_node], np.arange(count + 1)),
         ghost_number=by_node,
         cell_lane=np.repeat(cells.cell_lane[layout.irregular_cells], 8),
@@ -104,18 +109,17 @@ def add_ghost_forces(force: Float32, window: int, ghosts: GhostArrays) -> None:
 
 
 @kernel
-def add_ghosts_to_mean(window: int, gradient: Float32, shares: Float32, mean: Float32, ghosts: GhostArrays) -> None:
-    """Add the gradients of irregular cells to the means around a window's nodes, which lie where their stress will."""
+def sum_of_ghosts(
+    window: int, start: int, gradient: Float32, shares: Float32, sums: Float32, ghosts: GhostArrays
+) -> None:
+    """Write what irregular cells add to the sums of gradients around the nodes of a window that starts at a lane."""
     for node in range(ghosts.node_first[window], ghosts.node_first[window + 1]):
-        lane = ghosts.node_lane[node]
-        inverse = gradient[SHARE_NUMBERS * BANK_LANES + lane]
-        for place in range(ghosts.ghost_first[node], ghosts.ghost_first[node + 1]):
-            ghost = ghosts.ghost_number[place]
-            cell = ghosts.cell_lane[ghost]
-            share = inverse * shares[ghost % 8 * BANK_LANES + cell]
-            if share > 0:
-                for number in range(SHARE_NUMBERS):
-                    mean[number * BANK_LANES + lane] += share * gradient[number * BANK_LANES + cell]
+        for number in range(SHARE_NUMBERS):
+            total = np.float32(0)
+            for place in range(ghosts.ghost_first[node], ghosts.ghost_first[node + 1]):
+                cell = ghosts.cell_lane[ghosts.ghost_number[place]]
+                total += shares[place] * gradient[number * BANK_LANES + cell]
+            sums[ghosts.window_number[window], number, ghosts.node_lane[node] - start] = total
 
 
 @kernel

@@ -35,20 +35,19 @@ from heartcase.simulator.engine.cpu.cells import (
     gradient_of_window,
     guard_of_window,
     is_flat_window,
-    mean_of_window,
     mean_stress_of_window,
+    mean_stress_of_window_with_more,
     sharing_element_of_window,
-    stress_of_window,
     volume_of_window,
 )
 from heartcase.simulator.engine.cpu.chunks import ChunkArrays, share_out
 from heartcase.simulator.engine.cpu.ghosts import (
     add_ghost_forces,
-    add_ghosts_to_mean,
     clear_ghost_forces,
     follow_movements,
     follow_nodes,
     share_with_ghosts,
+    sum_of_ghosts,
 )
 from heartcase.simulator.engine.cpu.instruments import Constants, pull_explicitly
 from heartcase.simulator.engine.cpu.sleep import (
@@ -145,16 +144,23 @@ def _stretch(
 def _share_strain(thread: int, thread_count: int, rows: Int64, work: CellWork, chunks: ChunkArrays) -> None:
     """Write the stress of the means around a thread's part of the nodes; all that cells which are awake end at."""
     cells, _, sharing, ghosts = work
+    _, node_shares, ghost_shares, sums, gradient, stress, _ = sharing
     count = chunks.corner_counts[0]
-    for window in chunks.corners[thread * count // thread_count : (thread + 1) * count // thread_count]:
+    part = chunks.corners[thread * count // thread_count : (thread + 1) * count // thread_count]
+    # One after the other: a vector that is loaded soon after its numbers were stored one by one has to wait.
+    for window in part:
+        if ghosts.window_number[window] >= 0:
+            sum_of_ghosts(window, rows[window, 4], gradient, ghost_shares, sums, ghosts)
+    for window in part:
         place = np.int64(window)
-        if ghosts.node_first[place] == ghosts.node_first[place + 1]:
-            mean_stress_of_window(sharing.gradient, sharing.shares, sharing.stress, cells.law, rows, place)
+        number = ghosts.window_number[place]
+        if number < 0:
+            mean_stress_of_window(gradient, node_shares, sums, stress, cells.law, rows, place, number)
         else:
-            mean_of_window(sharing.gradient, sharing.shares, sharing.stress, rows, place)
-            add_ghosts_to_mean(place, sharing.gradient, sharing.shares, sharing.stress, ghosts)
-            stress_of_window(sharing.stress, cells.law, rows, place)
-            share_with_ghosts(place, sharing.stress, ghosts)
+            mean_stress_of_window_with_more(gradient, node_shares, sums, stress, cells.law, rows, place, number)
+    for window in part:
+        if ghosts.window_number[window] >= 0:
+            share_with_ghosts(window, stress, ghosts)
 
 
 @kernel
@@ -164,6 +170,8 @@ def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellW
     rows, numbers, _, law, is_flat, _, _ = cells
     for place in range(len(windows)):
         window = np.int64(windows[place])
+        if kind == NO_CELLS and not is_flat[window]:
+            continue
         if window >= ghosts.first_window:
             clear_ghost_forces(force, window, ghosts)
         if kind == SHARING_ELEMENTS and sharing.is_sharing[window]:
@@ -175,7 +183,7 @@ def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellW
         elif kind == VOLUME_TERM:
             needs_guard = volume_of_window(now, numbers, force, law, rows, window)
         else:
-            needs_guard = is_flat[window] > 0
+            needs_guard = True
         is_flat[window] = needs_guard
         if needs_guard and has_guard:
             guard_of_window(now, numbers, force, law, rows, window)

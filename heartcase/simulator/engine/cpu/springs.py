@@ -19,17 +19,19 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from heartcase.compiling.emitting import array_data, nothing
+from heartcase.compiling.emitting import array_data, counted, nothing, room_with
 from heartcase.simulator.engine.cpu.vector_ir import Lanes, Vector, Window
-from heartcase.simulator.engine.shared.lanes import LANE_COUNT
+from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT
 from heartcase.simulator.lattice.model import DIRECTIONS
 
 __all__ = [
     "AHEAD",
+    "EXPLICIT_NUMBERS",
     "WINDOW_NUMBERS",
     "SpringsAhead",
     "force_of_window",
     "force_of_window_with_cells",
+    "pull_of_group",
     "spring_force",
     "spring_force_from_both_ends",
     "tension_of_window",
@@ -41,6 +43,9 @@ AHEAD: list[tuple[int, int, int]] = [(i, j, k) for i, j, k in DIRECTIONS.tolist(
 """The nine springs ahead of a lane: where they end, (i, j, k) from it."""
 WINDOW_NUMBERS = len(AHEAD) + 1
 """Numbers of each of a window's lanes that lie side by side in memory: stiffness of the springs ahead, inverse mass."""
+EXPLICIT_NUMBERS = 6
+"""Numbers of an explicit spring: offset along x, y, z, rest length, excess, stiffness."""
+_INDEX = ir.IntType(64)
 _TINY = 1e-30
 """Keeps the division defined where two nodes lie on one spot."""
 
@@ -49,11 +54,7 @@ Offset = tuple[int, int, int]
 
 def window_number(builder: Any, window_numbers: Any, window: Any, which: int) -> Lanes:
     """One of the WINDOW_NUMBERS of a window."""
-    index = ir.IntType(64)
-    first = builder.mul(window, ir.Constant(index, WINDOW_NUMBERS * LANE_COUNT))
-    return Lanes.loaded(
-        builder, builder.gep(window_numbers, [builder.add(first, ir.Constant(index, which * LANE_COUNT))])
-    )
+    return Lanes.of_window(builder, window_numbers, window, which, WINDOW_NUMBERS)
 
 
 @dataclass(frozen=True)
@@ -218,3 +219,55 @@ def _make_force(has_cells: bool) -> Any:
 
 force_of_window = _make_force(has_cells=False)
 force_of_window_with_cells = _make_force(has_cells=True)
+
+
+@intrinsic
+def pull_of_group(typing_context, now, lane, other, numbers, pull, group, first, end):
+    """Write the pull of the springs from ``first`` to before ``end`` on the nodes of a group, shape (3, 8)."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:5], arguments, strict=False)
+        u, own_lanes, lanes, n, result = (array_data(context, builder, *pair) for pair in arrays)
+        own = _vectors_at(builder, u, own_lanes, arguments[5])
+        total = [room_with(builder, Lanes.filled(builder, 0.0).value) for _ in range(3)]
+        with counted(builder, arguments[6], arguments[7]) as (spring, _):
+            there = _vectors_at(builder, u, lanes, spring)
+            offset = [Lanes.of_window(builder, n, spring, axis, EXPLICIT_NUMBERS) for axis in range(3)]
+            length, excess, stiffness = (
+                Lanes.of_window(builder, n, spring, which, EXPLICIT_NUMBERS) for which in (3, 4, 5)
+            )
+            moved = [there[axis] - own[axis] for axis in range(3)]
+            d = [offset[axis] + moved[axis] for axis in range(3)]
+            square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + _TINY
+            e = excess
+            for axis in range(3):
+                e = e + (offset[axis] + d[axis]) * moved[axis]
+            tension = stiffness * e / (square + length * square.root())
+            for axis in range(3):
+                before = Lanes(builder, builder.load(total[axis]))
+                builder.store((before + tension * d[axis]).value, total[axis])
+        for axis in range(3):
+            place = builder.gep(result, [ir.Constant(_INDEX, axis * LANE_COUNT)])
+            Lanes(builder, builder.load(total[axis])).store(place)
+        return nothing(context)
+
+    return types.void(now, lane, other, numbers, pull, types.int64, types.int64, types.int64), codegen
+
+
+def _vectors_at(builder: Any, displacement: Any, lanes: Any, row: Any) -> list[Lanes]:
+    """The displacements at a row of lanes that lie anywhere."""
+    start = builder.mul(row, ir.Constant(_INDEX, LANE_COUNT))
+    places = [
+        builder.load(builder.gep(lanes, [builder.add(start, ir.Constant(_INDEX, place))]))
+        for place in range(LANE_COUNT)
+    ]
+    return [
+        Lanes.gathered(
+            builder,
+            [
+                builder.gep(displacement, [builder.add(place, ir.Constant(_INDEX, axis * BANK_LANES))])
+                for place in places
+            ],
+        )
+        for axis in range(3)
+    ]

@@ -247,7 +247,7 @@ def watch_cells(
             lane = start + place
             turn.watched[lane] = 0
             # Without stiffness there is no cell, or one that was cut.
-            if is_due and numbers[lane] > 0:
+            if is_due and numbers[window, 0, place] > 0:
                 most = np.float32(LOOK_BELOW) if looks_after_flat else np.float32(0)
                 does = _watch_cell(
                     rows[window], place, now, later, inverse_mass, most, has_probes, turn, position, moved

@@ -62,6 +62,21 @@ class Lanes:
         """The lanes that start at a pointer to float32."""
         return cls(builder, builder.load(builder.bitcast(pointer, _VECTOR.as_pointer()), align=4))
 
+    @classmethod
+    def of_window(cls, builder: Any, numbers: Any, window: Any, which: int, count: int) -> Lanes:
+        """One of the ``count`` numbers of a window's lanes that lie side by side in memory."""
+        first = builder.mul(window, ir.Constant(_INDEX, count * LANE_COUNT))
+        place = builder.add(first, ir.Constant(_INDEX, which * LANE_COUNT))
+        return cls.loaded(builder, builder.gep(numbers, [place]))
+
+    @classmethod
+    def gathered(cls, builder: Any, pointers: list[Any]) -> Lanes:
+        """Float32 that lie anywhere, one for each lane."""
+        value = ir.Constant(_VECTOR, ir.Undefined)
+        for place, pointer in enumerate(pointers):
+            value = builder.insert_element(value, builder.load(pointer), ir.Constant(ir.IntType(32), place))
+        return cls(builder, value)
+
     def store(self, pointer: Any) -> None:
         """Write the lanes from a pointer to float32 on."""
         self.builder.store(self.value, self.builder.bitcast(pointer, _VECTOR.as_pointer()), align=4)

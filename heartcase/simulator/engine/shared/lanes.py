@@ -322,6 +322,8 @@ class CellLayout:
     """Of the nodes."""
     cell_lane: Int64
     """Lane of each cell, shape (cell_count,)."""
+    cell_slot: Int64
+    """Number of the cell's window times 8 plus its place there, shape (cell_count,)."""
     window_rows: Int64
     """Rows of the windows that hold a cell, shape (count, 9); last those of ghosts."""
     touches: Int64
@@ -334,17 +336,30 @@ class CellLayout:
         """First window that holds ghosts."""
         return len(self.window_rows) - len(self.layout.ghost_start)
 
-    def numbers(self, model: LatticeModel) -> Float32:
-        """:func:`cell_numbers` by lane, shape (length(11),), float32; zero where there is no cell."""
-        numbers = np.zeros(self.layout.length(CELL_NUMBERS), np.float32)
-        numbers[self.layout.places(self.cell_lane, CELL_NUMBERS)] = cell_numbers(model).T
+    def by_window(self, values: Float32) -> Float32:
+        """Numbers of each cell, shape (any, cell_count), of each window's lanes by themselves; zero without a cell.
+
+        Shape (count, any, 8).
+        """
+        numbers = np.zeros((len(self.window_rows), len(values), LANE_COUNT), np.float32)
+        numbers[self.cell_slot // LANE_COUNT, :, self.cell_slot % LANE_COUNT] = values.T
         return numbers
 
-    def shares(self, model: LatticeModel) -> Float32:
-        """:func:`share_numbers` by lane, shape (length(9),), float32; zero where there is no cell."""
-        shares = np.zeros(self.layout.length(SHARE_NUMBERS), np.float32)
-        shares[self.layout.places(self.cell_lane, SHARE_NUMBERS)] = share_numbers(model).T
-        return shares
+    def by_node_window(self, values: Float32) -> Float32:
+        """Eight numbers of each cell, one for each corner, shape (8, cell_count), by the windows of the corners' nodes.
+
+        Zero where there is no cell, or one that is irregular. Shape (window_count of nodes, 8, 8).
+        """
+        cell_at = np.full(self.layout.lane_count, -1)
+        cell_at[self.cell_lane] = np.arange(len(self.cell_lane))
+        cell_at[self.ghost_lane.ravel()] = -1
+        rows = self.layout.window_rows
+        numbers = np.zeros((len(rows), len(CORNER_OFFSETS), LANE_COUNT), np.float32)
+        for corner, (i, j, k) in enumerate(CORNER_OFFSETS.tolist()):
+            # A node is the corner of the cell behind it by that corner's offset.
+            cell = cell_at[rows[:, 4 - j - 3 * k, None] - i + np.arange(LANE_COUNT)]
+            numbers[:, corner] = np.where(cell >= 0, values[corner, cell], np.float32(0.0))
+        return numbers
 
 
 def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
@@ -358,6 +373,8 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     held = np.flatnonzero(is_held)
     window_of_cell = (np.cumsum(is_held) - 1)[windows[:, 0]]
     place = np.arange(len(irregular))
+    place_of_cell = layout.node_slot[model.cell_corners[:, 0]] % LANE_COUNT
+    place_of_cell[irregular] = 2 * (place % GHOST_CELLS)
     window_of_cell[irregular] = len(held) + place // GHOST_CELLS
     cell_lane = layout.node_lane[model.cell_corners[:, 0]]
     cell_lane[irregular] = layout.ghost_start[place // GHOST_CELLS] + 2 * (place % GHOST_CELLS)
@@ -372,7 +389,14 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     touches = room[:, : max(8, int(counts.max(initial=0)))].copy()
     touches[np.arange(touches.shape[1]) >= counts[:, None]] = -1
     rows = np.concatenate([layout.window_rows[held], ghost_rows])
-    return CellLayout(layout=layout, cell_lane=cell_lane, window_rows=rows, touches=touches, ghost_lane=ghost_lane)
+    return CellLayout(
+        layout=layout,
+        cell_lane=cell_lane,
+        cell_slot=LANE_COUNT * window_of_cell + place_of_cell,
+        window_rows=rows,
+        touches=touches,
+        ghost_lane=ghost_lane,
+    )
 
 
 @kernel
