@@ -16,7 +16,7 @@ import numpy as np
 
 from heartcase.pipeline.building.quick_surface import QuickSurface
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.watershed.forest import Box
+from heartcase.pipeline.watershed.boxes import Box
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import HeartcaseError
 

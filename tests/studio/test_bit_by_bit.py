@@ -82,14 +82,17 @@ steps = st.one_of(
     todo=st.lists(steps, min_size=3, max_size=10),
     at_once=st.sampled_from([0, 0, 300]),
     most=st.sampled_from([0, 10**9]),
+    behind=st.sampled_from([(0, 1.0), (0, 0.03), (10**9, 0.0)]),
+    mended=st.sampled_from([0.005, 0.005, 0.5]),
 )
-def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(tree, todo, at_once, most):
+def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(tree, todo, at_once, most, behind, mended):
     geometry = lattice()
 
     def place(point):
         return geometry.index_to_world(np.array(point) * (np.array(SHAPE[::-1]) - 1)).tolist()
 
-    with patch.multiple(forest_module, MOST_AT_ONCE=at_once, MOST_LISTED=most):
+    limits = {"BEHIND_FROM": behind[0], "FEW_MARKED": behind[1], "MOST_MENDED": mended}
+    with patch.multiple(forest_module, MOST_AT_ONCE=at_once, MOST_LISTED=most, **limits):
         session, plain = SegmentationSession(tree, geometry, TABLE), SegmentationSession(tree, geometry, TABLE)
         session.put_off()
         pages, planes = [Seen(session), Seen(session)], [(), ()]
@@ -131,12 +134,15 @@ def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(tree, todo, at
             np.testing.assert_array_equal(session._forest.label_counts(), counts)
             assert session.marked_values() == set(np.unique(plain.marked).tolist()) - {255}
         for one in pages:
-            for _ in range(20):
+            for _ in range(40):
                 if not one.shown.has_rest:
                     break
                 one.take(one.shown.rest())
             np.testing.assert_array_equal(one.talker.labels, plain.labels)
-        session.catch_up()
+        with patch.object(forest_module.Forest.fill_some, "__defaults__", (1000,)):
+            while session.catch_up():
+                pass
+        np.testing.assert_array_equal(session._forest.foot_label, plain._forest.foot_label)
         np.testing.assert_array_equal(session._forest.foot_level, plain._forest.foot_level)
         assert not session.put_off_tiles.any()
 

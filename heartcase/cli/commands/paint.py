@@ -20,7 +20,7 @@ from heartcase.schemas.strict_json import parse_json
 
 if TYPE_CHECKING:
     from heartcase.pipeline.building.session_file import RecipeSession
-    from heartcase.pipeline.watershed.forest import Box
+    from heartcase.pipeline.watershed.boxes import Box
 
 __all__ = ["command"]
 

@@ -18,7 +18,7 @@ from heartcase.pipeline.fields.reader import ownership_at_points
 from heartcase.pipeline.mesh.extraction.extract import extract
 from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.pipeline.walls.septa import open_places
-from heartcase.schemas.arrays import Float32, Float64, Int8, Int32, UInt8
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int8, Int32, UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.recipe.recipe import Recipe
@@ -82,8 +82,7 @@ def quick_surface(
         Nothing is segmented, or there is no tissue.
     """
     table = recipe.table
-    whole = replace(segmentation, table=table, labels=np.where(segmentation.labels == UNMARKED, 0, segmentation.labels))
-    near = _cropped(whole, recipe)
+    near = _cropped(replace(segmentation, table=table), recipe)
     share = FIRST_SHARE if is_coarse else 1.0
     coarse, is_thinned = _thinned(near, share)
     tries = [coarse, near] if is_thinned and not is_coarse and near.labels.size <= MOST_VOXELS else [coarse]
@@ -164,9 +163,14 @@ def _surface(
 def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
     """The part around the labels and all that the recipe places."""
     geometry, labels = segmentation.geometry, segmentation.labels
-    there = [np.flatnonzero((labels != BACKGROUND).any(axis=axes)) for axes in ((0, 1), (0, 2), (1, 2))]
+    # in one pass over the scan: labels but the background's, which is 0, and none
+    is_labelled: Bool = labels - np.uint8(1) < np.uint8(UNMARKED - 1)
+    rows: Bool = np.any(is_labelled, axis=2)
+    there = [np.flatnonzero(rows.any(axis=0)), np.flatnonzero(rows.any(axis=1))]
     if not len(there[0]):
         raise StageError("nothing is segmented but background: paint the structures first", place="segment")
+    along, slices = (slice(one[0], one[-1] + 1) for one in there)
+    there.insert(0, np.flatnonzero(is_labelled[slices, along].any(axis=(0, 1))))
     placed = [(end.position_mm, 0.0) for end in recipe.ends]
     for edit in recipe.edits:
         if edit.kind in ("septal_defect", "close_defect"):
@@ -182,7 +186,8 @@ def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
     margin = (MARGIN_MM + recipe.walls.thickest_mm(recipe.table)) / np.array(geometry.spacing_mm)
     low = np.maximum(np.floor(corners.min(axis=0) - margin), 0).astype(int)
     high = np.minimum(np.ceil(corners.max(axis=0) + margin) + 1, geometry.size).astype(int)
-    part = np.ascontiguousarray(labels[low[2] : high[2], low[1] : high[1], low[0] : high[0]])
+    part = labels[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
+    part = np.where(part == UNMARKED, np.uint8(BACKGROUND), part)
     i, j, k = (int(one) for one in low)
     return replace(segmentation, labels=part, geometry=geometry.cropped((i, j, k), part.shape[::-1]))
 

@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.watershed.forest import Box
+from heartcase.pipeline.watershed.boxes import Box
 from heartcase.schemas.arrays import UInt8
 
 __all__ = ["Locks"]

@@ -14,7 +14,10 @@ from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_vo
 from heartcase.pipeline.markers.locks import Locks
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
 from heartcase.pipeline.markers.stroke_notes import StrokeNotes
-from heartcase.pipeline.watershed.forest import Box, load_stroke_kernels, solve_forest
+from heartcase.pipeline.watershed.boxes import Box
+from heartcase.pipeline.watershed.forest import solve_forest
+from heartcase.pipeline.watershed.loading import load_stroke_kernels
+from heartcase.pipeline.watershed.sight import Sight, plane_in_sight
 from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
 from heartcase.schemas.errors import MarkerError, UsageError, problems_from_validation
@@ -128,11 +131,15 @@ class SegmentationSession:
         :meth:`labels_of_boxes` works out what it needs, and all else works out the rest first.
         """
         load_stroke_kernels()
+        middle = self.geometry.index_to_world(0.5 * np.array([self.geometry.size]))
+        stroke_voxels(
+            Stroke(erase=True, radius_mm=min(self.geometry.spacing_mm), points_mm=middle.tolist()), self.geometry
+        )
         self._forest.puts_off = True
 
     def catch_up(self) -> bool:
-        """Work out, of what is put off, what the next stroke needs and would wait for; whether there was anything."""
-        return self._forest.fill_levels()
+        """Work out, of what is put off, some of what the next stroke needs, a few ms long; whether there was any."""
+        return self._forest.fill_some()
 
     @property
     def put_off_tiles(self) -> Bool:
@@ -140,9 +147,22 @@ class SegmentationSession:
         return self._forest.put_off.copy()
 
     @property
+    def put_off_times(self) -> int:
+        """How often labels were put off so far."""
+        return self._forest.put_off_times
+
+    @property
     def tile_stamps(self) -> Int64:
         """By tile: higher, the later it was that a label which was put off turned out to be another one; a copy."""
         return self._forest.stamps.copy()
+
+    def in_sight(self, normal: Float64, offset: float) -> Sight:
+        """The voxels whose cubes the plane ``normal @ (i, j, k) == offset`` meets, listed for :meth:`settle_sight`."""
+        return plane_in_sight(self._forest.tree, normal, offset)
+
+    def settle_sight(self, sight: Sight) -> None:
+        """Work out the labels that are put off of what a plane shows: :attr:`tile_stamps` says where they changed."""
+        self._forest.settle_sight(sight)
 
     def settle_boxes(self, boxes: Sequence[Box]) -> None:
         """Work out labels that are put off in some boxes, as :meth:`labels_of_boxes` does."""
@@ -157,6 +177,10 @@ class SegmentationSession:
             Within the scan. A tile is not put off any more where one of them is all of it.
         """
         self._forest.settle_boxes(boxes)
+        return [self._forest.labels[box].copy() for box in boxes]
+
+    def labels_so_far(self, boxes: Sequence[Box]) -> list[UInt8]:
+        """Labels in some boxes, copies; what is put off there is of some earlier moment."""
         return [self._forest.labels[box].copy() for box in boxes]
 
     def volumes_ml(self) -> Float64:
@@ -409,8 +433,7 @@ class SegmentationSession:
         return suggest_strokes(self._forest, self.geometry, count=count, right=self.right_places)
 
     def _check_that_anything_is_marked(self) -> None:
-        # with a marker anywhere every basin has a label
-        if self._forest.foot_label[0] == UNMARKED:
+        if not self._forest.is_labelled:
             raise MarkerError("no voxel of the scan is marked: paint first", place="markers")
 
     def _carry_out(self, stroke: Stroke, *, minds_locks: bool = True, may_miss: bool) -> Box | None:

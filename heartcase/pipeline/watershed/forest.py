@@ -16,8 +16,9 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
+from heartcase.pipeline.watershed.boxes import Box, around_both, as_box, in_parts, tiles_around, within
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
-from heartcase.pipeline.watershed.hanging import PartedForest, solve_parted
+from heartcase.pipeline.watershed.hanging import Filling, PartedForest, solve_parted
 from heartcase.pipeline.watershed.incremental import mend, unmark
 from heartcase.pipeline.watershed.marks import (
     CONTESTED,
@@ -25,7 +26,9 @@ from heartcase.pipeline.watershed.marks import (
     is_flat_contested,
     mark_below,
     marked_voxels,
+    note_erased,
     note_flats,
+    note_marked,
     own_key,
     reach,
 )
@@ -40,12 +43,11 @@ from heartcase.pipeline.watershed.painting import (
     tiles_of,
 )
 from heartcase.pipeline.watershed.plateaus import divide_flat
+from heartcase.pipeline.watershed.sight import Sight, paint_sight
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
 from heartcase.schemas.arrays import Bool, Int16, Int32, Int64, UInt8
 
-__all__ = ["Box", "Forest", "load_stroke_kernels", "solve_forest"]
-
-Box = tuple[slice, slice, slice]
+__all__ = ["Box", "Forest", "solve_forest"]
 
 NO_FLAT = -1
 MOST_MENDED = 0.005
@@ -55,6 +57,14 @@ MOST_AT_ONCE = 100_000
 """Voxels in basins that changed that are painted at once where painting may be put off."""
 MOST_LISTED = 300_000
 """Voxels in basins that changed up to which their tiles are looked up; with more, all are painted anew."""
+FEW_MARKED = 0.02
+"""Share of the basins that are marked up to which solving anew is a matter of few ms, whatever is changed."""
+MOST_CARRIED = 2_000
+"""Feet that a label is carried to, or that hang on erased markers, at most where it is; with more it is quicker."""
+BEHIND_FROM = 50_000
+"""Basins from which on passes over all of them are put off, too."""
+FILLED_AT_ONCE = 400_000
+"""Feet that are worked out in one piece where they were put off."""
 WHOLE_SHARE = 0.15
 """Share of the voxels in basins that changed from which on all voxels are painted anew: rows are quicker than lists."""
 
@@ -80,14 +90,21 @@ class Forest:
     labels: UInt8
     """Label of each voxel; in a tile that is put off, of some earlier moment."""
     puts_off: bool = False
-    """Whether :meth:`paint` leaves the labels of many voxels to :meth:`settle` and :meth:`settle_boxes`, and levels to
-    the stroke that needs them."""
+    """Whether :meth:`paint` leaves the labels of many voxels to :meth:`settle` and the like, and where few basins are
+    marked also those of the feet."""
     put_off: Bool = field(default_factory=lambda: np.zeros((0, 0, 0), np.bool_))
     """Which tiles are put off, bool, shape [z, y, x] of tiles of 32 voxels along each side."""
     stamps: Int64 = field(default_factory=lambda: np.zeros((0, 0, 0), np.int64))
     """By tile: a number that is higher, the later a label that was put off turned out to be another one."""
+    put_off_times: int = 0
+    """How often labels were put off so far."""
+    _is_behind: bool = False
+    """Whether labels and levels of feet are of earlier markers: those of now follow from what is parted."""
     _parted: PartedForest | None = None
+    _filling: Filling | None = None
+    _feet_now: UInt8 | None = None
     _table: UInt8 | None = None
+    _marked: Int64 | None = None
     _painted_counts: Int64 | None = None
 
     def __post_init__(self) -> None:
@@ -114,8 +131,7 @@ class Forest:
         voxels = voxels[flat_painted[voxels] != label]
         if not len(voxels):
             return None
-        self.fill_levels()
-        self._table = None
+        self._forget()
         if self._painted_counts is not None:
             gone = np.bincount(flat_painted[voxels], minlength=256)
             # a new array: a copy of the forest may have the old one
@@ -123,22 +139,35 @@ class Forest:
         flat_painted[voxels] = label
         tree = self.tree
         bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
+        self._marked = np.union1d(self._known_marked(), basin[voxels]) if self._may_fall_behind else None
         if is_flat_contested(bits, basin, tree.root, tree.flat, self.flat_label, voxels, label):
             return self.solve()
+        is_quick = self._is_quick
+        if is_quick and self._is_behind:
+            marks = self.marks.reshape(-1)
+            if label != UNMARKED:
+                note_marked(bits, basin, voxels, label, marks, self.lowest_mark)
+            else:
+                note_erased(bits, basin, tree.voxels, voxels, marks, self.lowest_mark)
+            self.fall_behind()
+            return None
+        self.fill()
         graph = (*tree.neighbours, tree.key, *tree.ends)
         feet = (self.marks.reshape(-1), self.foot_label, self.foot_level, self.lowest_mark)
-        most = int(MOST_MENDED * tree.basin_count)
-        before = self.foot_label.copy()
+        most = min(int(MOST_MENDED * tree.basin_count), MOST_CARRIED if is_quick else tree.basin_count)
+        before = None if is_quick else self.foot_label.copy()
         if label != UNMARKED:
             changed = mend(self._landscape, graph, voxels, label, *feet, most)
         else:
             changed = unmark(self._landscape, graph, tree.voxels, voxels, *feet, most)
         if len(changed):
             return self._paint_basins(changed)
-        self._parted = solve_parted(tree, self._landscape, self.marks.reshape(-1), self.lowest_mark)
-        self._parted.fill_labels(self.foot_label)
+        if before is None:
+            self.fall_behind()
+            return None
+        self._is_behind = True
+        self.fill()
         if not self.puts_off:
-            self.fill_levels()
             return self._paint_whole()
         is_changed = self.foot_label != before
         is_changed[basin[voxels]] = True
@@ -148,7 +177,7 @@ class Forest:
         """Mark voxels with labels of their own, or take their markers away (255); a box around what changed."""
         box = None
         for label in sorted({*values.tolist()}, reverse=True):
-            box = _around_both(box, self.paint(voxels[values == label], label))
+            box = around_both(box, self.paint(voxels[values == label], label))
         return box
 
     def solve(self) -> Box | None:
@@ -163,6 +192,11 @@ class Forest:
             voxels = marked_voxels(self.marks.ravel(), row_chunks(self.marks.shape) * self.marks.shape[2])
         self.lowest_mark[:] = -1
         find_lowest_marks(bits, basin, voxels, self.lowest_mark)
+        self._forget()
+        self._marked = None
+        if self._is_quick:
+            self.fall_behind()
+            return None
         higher, lower = tree.ends
         first, second = tree.basins
         _solve(
@@ -173,11 +207,18 @@ class Forest:
             self.foot_label,
             self.foot_level,
         )
-        self._parted = self._table = None
+        self._is_behind = False
         return self._paint_whole()
+
+    @property
+    def is_labelled(self) -> bool:
+        """Whether anything is marked: then every voxel has a label."""
+        return bool((self.lowest_mark >= 0).any())
 
     def label_counts(self) -> Int64:
         """Number of voxels of each label, int64, shape (256,); nothing that was put off has to be settled for it."""
+        if self._is_behind:
+            return self._solution().label_counts(self.tree, self._landscape, self.marks.reshape(-1))
         first_voxel, voxel_list = self.tree.voxels
         _, direction, _, offsets = self._landscape
         count: Int64 = count_labels(
@@ -193,7 +234,7 @@ class Forest:
 
     def settle(self) -> None:
         """Work out all that was put off."""
-        self.fill_levels()
+        self.fill()
         if self.put_off.any():
             self._paint_whole()
 
@@ -206,20 +247,21 @@ class Forest:
             What lies outside of the volume is left out. A tile is settled where one of them is all of it.
         """
         changed = np.zeros_like(self.put_off)
-        boxes = [_within(box, self.labels.shape) for box in boxes]
-        boxes = [box for box in boxes if self.put_off[_tiles_around(box)].any()]
+        boxes = [within(box, self.labels.shape) for box in boxes]
+        boxes = [box for box in boxes if self.put_off[tiles_around(box)].any()]
         if not boxes:
             return
         bounds = np.array([[[one.start, one.stop] for one in box] for box in boxes], np.int64)
+        feet = self._feet()
         if self._table is None:
-            self._table = self.foot_label.copy()
-            self._table[np.flatnonzero(self.lowest_mark >= 0)] = MARKED_BASIN
+            self._table = feet.copy()
+            self._table[self._marked_basins()] = MARKED_BASIN
         paint_boxes(
-            *_in_parts(bounds[..., 0], bounds[..., 1]),
+            *in_parts(bounds[..., 0], bounds[..., 1]),
             self._table,
             *self._landscape[1:],
             self.marks.reshape(-1),
-            self.foot_label,
+            feet,
             self.labels,
             changed,
         )
@@ -228,7 +270,28 @@ class Forest:
                 one.start % TILE == 0 and one.stop == min(one.start + TILE, n)
                 for one, n in zip(box, self.labels.shape, strict=True)
             ):
-                self.put_off[_tiles_around(box)] = False
+                self.put_off[tiles_around(box)] = False
+        self.stamps[changed] = self.stamps.max() + 1
+
+    def settle_sight(self, sight: Sight) -> None:
+        """Work out the labels that a plane shows; no tile is settled by that."""
+        if not self.put_off[sight.tiles].any():
+            return
+        none = np.empty(0, np.int32)
+        solved = self._solution() if self._is_behind else None
+        feet = (solved.hanging.place, solved.group, solved.label) if solved else (none, none, self.foot_label)
+        changed = np.zeros_like(self.put_off)
+        paint_sight(
+            sight.voxel,
+            sight.basin,
+            feet,
+            self._landscape,
+            self.marks.reshape(-1),
+            self.lowest_mark,
+            self.labels.reshape(-1),
+            self.labels.shape,
+            changed,
+        )
         self.stamps[changed] = self.stamps.max() + 1
 
     @property
@@ -238,13 +301,68 @@ class Forest:
         bits, offsets = tree.height.view(np.int32).ravel(), side_offsets(tree.height.shape)
         return bits, tree.direction.ravel(), tree.basin.ravel(), offsets
 
-    def fill_levels(self) -> bool:
-        """Work out levels that were put off; whether any were."""
-        if self._parted is None:
+    def fill(self) -> None:
+        """Work out the labels and levels of all feet, where they were put off."""
+        while self.fill_some(self.tree.basin_count):
+            pass
+
+    def fill_some(self, most: int = FILLED_AT_ONCE) -> bool:
+        """Work out some of the feet that were put off; whether there were any."""
+        if not self._is_behind:
             return False
-        self._parted.fill_levels(self.foot_level)
-        self._parted = None
+        if self._filling is None:
+            self._filling = Filling(self._solution())
+        if self._filling.go_on(most):
+            self.foot_label, self.foot_level = self._filling.foot_label, self._filling.foot_level
+            self._is_behind = False
+            self._parted = self._filling = self._feet_now = None
         return True
+
+    @property
+    def _may_fall_behind(self) -> bool:
+        return self.puts_off and self.tree.basin_count >= BEHIND_FROM
+
+    @property
+    def _is_quick(self) -> bool:
+        """Whether solving anew is quick, and passes over all basins are put off."""
+        return self._may_fall_behind and len(self._known_marked()) <= FEW_MARKED * self.tree.basin_count
+
+    def fall_behind(self) -> None:
+        """Leave all that follows from the markers to whoever asks for it."""
+        self._forget()
+        self._is_behind = True
+        self.put_off[:] = True
+        self.put_off_times += 1
+
+    def _forget(self) -> None:
+        """Forget what followed from markers that are others now."""
+        self._parted = self._filling = self._feet_now = self._table = None
+
+    def _known_marked(self) -> Int64:
+        """Basins that may be marked, ascending: no others are."""
+        if self._marked is None:
+            self._marked = np.flatnonzero(self.lowest_mark >= 0)
+        return self._marked
+
+    def _marked_basins(self) -> Int64:
+        known = self._known_marked()
+        return known[self.lowest_mark[known] >= 0]
+
+    def _solution(self) -> PartedForest:
+        """The forest of these markers."""
+        if self._parted is None:
+            marks = self.marks.reshape(-1)
+            self._parted = solve_parted(self.tree, self._landscape, marks, self.lowest_mark, self._marked_basins())
+        return self._parted
+
+    def _feet(self) -> UInt8:
+        """Label of each basin's foot."""
+        if not self._is_behind:
+            return self.foot_label
+        if self._feet_now is None:
+            self._feet_now = np.empty(self.tree.basin_count, np.uint8)
+            self._solution().fill_labels(self._feet_now)
+        return self._feet_now
 
     def _divide_flats(self, voxels: Int64) -> None:
         tree = self.tree
@@ -268,6 +386,7 @@ class Forest:
         first_voxel, voxel_list = tree.voxels
         count = int((first_voxel[changed + 1] - first_voxel[changed]).sum())
         if self.puts_off and count > MOST_AT_ONCE:
+            self.put_off_times += 1
             if count > MOST_LISTED:
                 self.put_off[:] = True
             else:
@@ -287,7 +406,7 @@ class Forest:
             self.labels.reshape(-1),
             self.labels.shape,
         )
-        return _as_box(low, high)
+        return as_box(low, high)
 
     def _paint_whole(self) -> Box | None:
         self.stamps[self.put_off] = self.stamps.max() + 1
@@ -303,7 +422,7 @@ class Forest:
             self.foot_label,
             self.labels,
         )
-        return _as_box(low.min(axis=0), high.max(axis=0))
+        return as_box(low.min(axis=0), high.max(axis=0))
 
 
 def solve_forest(tree: BasinTree, markers: UInt8) -> Forest:
@@ -334,65 +453,6 @@ def solve_forest(tree: BasinTree, markers: UInt8) -> Forest:
     )
     forest.solve()
     return forest
-
-
-def load_stroke_kernels() -> None:
-    """Have the kernels at hand that strokes call: a first one would wait for each of them to be loaded."""
-    from heartcase.pipeline.watershed.tree import build_basin_tree
-
-    shape = (4, 4, 4)
-    # every second voxel is a basin
-    height = (np.indices(shape).sum(axis=0) % 2 + np.arange(64).reshape(shape) / 64).astype(np.float32)
-    forest = solve_forest(build_basin_tree(height), np.full(shape, UNMARKED, np.uint8))
-    forest.puts_off = True
-    for voxel, label in ((0, 1), (63, 2), (63, UNMARKED)):
-        forest.paint(np.array([voxel]), label)
-    first_voxel, voxel_list = forest.tree.voxels
-    tiles_of(np.arange(forest.tree.basin_count), first_voxel, voxel_list, shape, forest.put_off)
-    forest.settle_boxes([(slice(0, 1), slice(0, 4), slice(0, 4))])
-    forest.label_counts(), forest.painted_counts()
-    forest.settle()
-
-
-def _around_both(one: Box | None, other: Box | None) -> Box | None:
-    if one is None or other is None:
-        return one or other
-    k, j, i = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
-    return k, j, i
-
-
-def _within(box: Box, shape: tuple[int, ...]) -> Box:
-    """The voxels that NumPy takes of it, in whole numbers and without steps; an empty one has no tiles."""
-    found = [range(*one.indices(n)) for one, n in zip(box, shape, strict=True)]
-    if not all(found):
-        return slice(0, 0), slice(0, 0), slice(0, 0)
-    k, j, i = (slice(min(one), max(one) + 1) for one in found)
-    return k, j, i
-
-
-def _tiles_around(box: Box) -> Box:
-    k, j, i = (slice(one.start // TILE, -(-one.stop // TILE)) for one in box)
-    return k, j, i
-
-
-def _in_parts(low: Int64, high: Int64) -> tuple[Int64, Int64]:
-    """Boxes cut across their longest way through slices or rows, so that threads have about as much to do."""
-    lows, highs = [], []
-    for first, last in zip(low, high, strict=True):
-        axis = int((last - first)[:2].argmax())
-        for start in range(int(first[axis]), int(last[axis]), TILE):
-            part_first, part_last = first.copy(), last.copy()
-            part_first[axis], part_last[axis] = start, min(start + TILE, int(last[axis]))
-            lows.append(part_first)
-            highs.append(part_last)
-    return np.array(lows), np.array(highs)
-
-
-def _as_box(low: Int64, high: Int64) -> Box | None:
-    if low[0] > high[0]:
-        return None
-    (k0, j0, i0), (k1, j1, i1) = low.tolist(), high.tolist()
-    return slice(k0, k1 + 1), slice(j0, j1 + 1), slice(i0, i1 + 1)
 
 
 @kernel

@@ -28,7 +28,7 @@ from heartcase.pipeline.watershed.marks import mark_below, own_key, reach
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
 from heartcase.schemas.arrays import Int32, Int64, UInt8
 
-__all__ = ["HangingTree", "PartedForest", "hanging_tree", "solve_parted"]
+__all__ = ["Filling", "HangingTree", "PartedForest", "hanging_tree", "solve_parted"]
 
 
 CHUNKS = 16
@@ -55,14 +55,18 @@ class HangingTree:
     """Place of the head of the side that each joining face absorbs."""
     larger: Int32
     """By place: the place of the head of the side that absorbed it; -1 for the first."""
+    voxels_before: Int64
+    """By place: number of voxels of the basins at all places before it, int64; with one more entry, for all."""
 
 
 @dataclass(frozen=True)
 class PartedForest:
-    """A forest as far as its labels are known: levels take one more pass."""
+    """A forest of few marked basins: what each basin has follows from the parted one that it hangs on."""
 
     hanging: HangingTree
     """The tree that it is of."""
+    marked: Int64
+    """The marked basins, ascending."""
     group: Int32
     """By place: number of the parted basin that it hangs on."""
     parted: Int32
@@ -75,13 +79,51 @@ class PartedForest:
     def fill_labels(self, foot_label: UInt8) -> None:
         """Write the label of each basin's foot."""
         # one byte a place stays in a processor's cache
-        _fill(_chunks(len(foot_label)), self.hanging.place, self.label[self.group], foot_label)
+        _fill(_chunks(0, len(foot_label)), self.hanging.place, self.label[self.group], foot_label)
 
-    def fill_levels(self, foot_level: Int64) -> None:
-        """Write the level of each basin's foot."""
+    def label_counts(self, tree: BasinTree, landscape: tuple[Any, ...], marks: UInt8) -> Int64:
+        """Number of voxels of each label, int64, shape (256,)."""
         hanging = self.hanging
-        level = _levels(self.parted, self.level, hanging.above, hanging.key)
-        _fill(_chunks(len(foot_level)), hanging.place, level, foot_level)
+        count: Int64 = _count(self.parted, hanging.end, self.label, hanging.voxels_before)
+        feet = self.label[self.group[hanging.place[self.marked]]]
+        _count_marked(self.marked, feet, tree.voxels, landscape, marks, count)
+        return count
+
+
+class Filling:
+    """Labels and levels of all feet of a parted forest, written out piece by piece.
+
+    Parameters
+    ----------
+    solved
+        The forest.
+    """
+
+    def __init__(self, solved: PartedForest) -> None:
+        count = len(solved.group)
+        self.foot_label: UInt8 = np.empty(count, np.uint8)
+        """Label of each basin's foot."""
+        self.foot_level: Int64 = np.empty(count, np.int64)
+        """Level of each basin's foot."""
+        self._solved = solved
+        self._by_place: Int64 = np.empty(count, np.int64)
+        self._at = 0
+
+    def go_on(self, most: int) -> bool:
+        """Work out so many more feet, at most; whether all of them are done."""
+        solved, count = self._solved, len(self.foot_label)
+        hanging = solved.hanging
+        # first the levels of all places, in their order, and then both of all basins
+        first = self._at % count
+        stop = min(first + most, count)
+        if self._at < count:
+            _levels(solved.parted, solved.level, hanging.above, hanging.key, self._by_place, first, stop)
+        else:
+            chunks = _chunks(first, stop)
+            _fill(chunks, hanging.place, self._by_place, self.foot_level)
+            _fill_labels(chunks, hanging.place, solved.group, solved.label, self.foot_label)
+        self._at += stop - first
+        return self._at == 2 * count
 
 
 def hanging_tree(tree: BasinTree) -> HangingTree:
@@ -103,10 +145,15 @@ def hanging_tree(tree: BasinTree) -> HangingTree:
     above[at_first] = -1
     by_larger = place[larger[order]]
     by_larger[at_first] = -1
-    return HangingTree(place, end, above, key, by_face, place[absorbed], by_larger)
+    first_voxel, _ = tree.voxels
+    before = np.zeros(tree.basin_count + 1, np.int64)
+    np.cumsum(np.diff(first_voxel)[order], out=before[1:])
+    return HangingTree(place, end, above, key, by_face, place[absorbed], by_larger, before)
 
 
-def solve_parted(tree: BasinTree, landscape: tuple[Any, ...], marks: UInt8, lowest_mark: Int64) -> PartedForest:
+def solve_parted(
+    tree: BasinTree, landscape: tuple[Any, ...], marks: UInt8, lowest_mark: Int64, marked: Int64
+) -> PartedForest:
     """Label all feet.
 
     Parameters
@@ -119,8 +166,10 @@ def solve_parted(tree: BasinTree, landscape: tuple[Any, ...], marks: UInt8, lowe
         Label of each marked voxel, with contested flat minima divided; 255 elsewhere; flat.
     lowest_mark
         Flat index of each basin's lowest marked voxel; -1 without any.
+    marked
+        The basins that have one, ascending, int64.
     """
-    marked, hanging = np.flatnonzero(lowest_mark >= 0), tree.hanging
+    hanging = tree.hanging
     start, faces = tree.neighbours
     higher, lower = tree.ends
     parted = _parted(
@@ -132,11 +181,11 @@ def solve_parted(tree: BasinTree, landscape: tuple[Any, ...], marks: UInt8, lowe
     used = np.sort(hanging.face[parted[1:]])
     ends = (tree.key[used], higher[used], lower[used])
     label, level = _solve(marked, ends, landscape, hanging.place, group, len(parted), marks, lowest_mark)
-    return PartedForest(hanging, group, parted, label, level)
+    return PartedForest(hanging, marked, group, parted, label, level)
 
 
-def _chunks(count: int) -> Int64:
-    return np.linspace(0, count, CHUNKS + 1).astype(np.int64)
+def _chunks(first: int, stop: int) -> Int64:
+    return np.linspace(first, stop, CHUNKS + 1).astype(np.int64)
 
 
 @kernel
@@ -301,15 +350,49 @@ def _given(v, b, label, direction, offsets, marks, lowest_mark):
 
 
 @kernel
-def _levels(parted, parted_level, above, key):
-    """By place: the highest face on the way to a marked voxel."""
-    level = np.empty(len(above), np.int64)
-    for n in range(len(parted)):
-        level[parted[n]] = parted_level[n]
-        until = parted[n + 1] if n + 1 < len(parted) else len(above)
-        for at in range(parted[n] + 1, until):
+def _levels(parted, parted_level, above, key, level, first, stop):
+    """By place, for some of them: the highest face on the way to a marked voxel. Those before are there already."""
+    n = np.searchsorted(parted, first)
+    for at in range(first, stop):
+        if n < len(parted) and parted[n] == at:
+            level[at] = parted_level[n]
+            n += 1
+        else:
             level[at] = max(key[at], level[above[at]])
-    return level
+
+
+@kernel
+def _count(parted, end, label, voxels_before):
+    """How many voxels the basins of each label have, int64, shape (256,), as if none of them were marked."""
+    count = np.zeros(256, np.int64)
+    # as in _groups
+    stack = np.empty(len(parted), np.int32)
+    depth = -1
+    for n in range(len(parted)):
+        at = parted[n]
+        until = parted[n + 1] if n + 1 < len(parted) else len(end)
+        depth += 1
+        stack[depth] = n
+        while at < until:
+            while end[parted[stack[depth]]] <= at:
+                depth -= 1
+            stop = min(until, end[parted[stack[depth]]])
+            count[label[stack[depth]]] += voxels_before[stop] - voxels_before[at]
+            at = stop
+    return count
+
+
+@kernel
+def _count_marked(marked, feet, voxel_lists, landscape, marks, count):
+    """Count the voxels of marked basins, which were counted as those of their feet, as they are."""
+    _, direction, _, offsets = landscape
+    first_voxel, voxel_list = voxel_lists
+    for m in range(len(marked)):
+        b = marked[m]
+        count[feet[m]] -= first_voxel[b + 1] - first_voxel[b]
+        for n in range(first_voxel[b], first_voxel[b + 1]):
+            mark = mark_below(np.int64(voxel_list[n]), direction, offsets, marks)
+            count[mark if mark != UNMARKED else feet[m]] += 1
 
 
 @kernel(parallel=True)
@@ -317,3 +400,10 @@ def _fill(chunks, place, by_place, by_basin):
     for c in numba.prange(len(chunks) - 1):
         for b in range(chunks[c], chunks[c + 1]):
             by_basin[b] = by_place[place[b]]
+
+
+@kernel(parallel=True)
+def _fill_labels(chunks, place, group, label, by_basin):
+    for c in numba.prange(len(chunks) - 1):
+        for b in range(chunks[c], chunks[c + 1]):
+            by_basin[b] = label[group[place[b]]]

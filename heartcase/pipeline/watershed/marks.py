@@ -16,7 +16,9 @@ __all__ = [
     "is_flat_contested",
     "mark_below",
     "marked_voxels",
+    "note_erased",
     "note_flats",
+    "note_marked",
     "own_key",
     "reach",
 ]
@@ -85,6 +87,30 @@ def find_lowest_marks(bits, basin, voxels, lowest):
         old = lowest[basin[v]]
         if old < 0 or bits[v] < bits[old] or (bits[v] == bits[old] and v < old):
             lowest[basin[v]] = v
+
+
+@kernel
+def note_marked(bits, basin, voxels, label, marks, lowest):
+    """Mark voxels with a label, and note where they are the lowest marked ones of their basins."""
+    marks[voxels] = label
+    find_lowest_marks(bits, basin, voxels, lowest)
+
+
+@kernel
+def note_erased(bits, basin, voxel_lists, voxels, marks, lowest):
+    """Take the markers of voxels away, and note which are the lowest marked ones of their basins then."""
+    first_voxel, voxel_list = voxel_lists
+    marks[voxels] = UNMARKED
+    for v in voxels:
+        b = basin[v]
+        if lowest[b] < 0 or marks[lowest[b]] != UNMARKED:
+            continue
+        lowest[b] = -1
+        for n in range(first_voxel[b], first_voxel[b + 1]):
+            one, old = np.int64(voxel_list[n]), lowest[b]
+            # of equally high voxels the one with the lower index comes first
+            if marks[one] != UNMARKED and (old < 0 or bits[one] < bits[old]):
+                lowest[b] = one
 
 
 @kernel

@@ -18,7 +18,7 @@ from heartcase.pipeline.building.runner import BuildListener
 from heartcase.pipeline.building.session_file import RecipeSession, open_session
 from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.markers.states import StillSegmentation
-from heartcase.pipeline.watershed.forest import Box
+from heartcase.pipeline.watershed.boxes import Box
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from heartcase.pipeline.markers.session import SegmentationSession
-from heartcase.pipeline.watershed.forest import Box
+from heartcase.pipeline.watershed.boxes import Box
 from heartcase.pipeline.watershed.painting import TILE
+from heartcase.pipeline.watershed.sight import Sight
 from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.studio.messages import boxes_message
@@ -18,12 +20,11 @@ from heartcase.studio.painting.requests import SeenPlane
 __all__ = ["Plane", "Shown", "planes_in_voxels"]
 
 SETTLED_AT_ONCE = 48
-"""Tiles that are worked out for one request, at most: a few ms."""
-SENT_AT_ONCE = 24
-"""Tiles that are sent for one request, at most."""
-_STRAIGHT = 1e-6
-_EDGE = 1e-3
-"""Voxels; a plane this near to a voxel's face is drawn with either of the two."""
+"""Tiles that are worked out and sent for one request, at most."""
+_GROUP = 4
+"""Tiles that are worked out together."""
+_LONG_S = 0.003
+"""With a request for the rest no more is begun after so long: a stroke may be waiting."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,10 @@ class Plane:
     normal: Float64
     """Shape (3,)."""
     offset: float
+
+    def is_same(self, other: Plane) -> bool:
+        """Whether both show the same."""
+        return self.offset == other.offset and bool((self.normal == other.normal).all())
 
 
 def planes_in_voxels(planes: Sequence[SeenPlane], geometry: Geometry) -> tuple[Plane, ...]:
@@ -53,6 +58,19 @@ def planes_in_voxels(planes: Sequence[SeenPlane], geometry: Geometry) -> tuple[P
     return tuple(found)
 
 
+@dataclass
+class _View:
+    """A plane that a page looks at."""
+
+    plane: Plane
+    sight: Sight
+    """What it shows."""
+    sent: Int64
+    """Stamp of each tile when that was sent last; 0 for never."""
+    settled: int = -1
+    """How often labels had been put off when what it shows was worked out last."""
+
+
 class Shown:
     """What one page looks at, and what it has still to be sent. It has all labels of this moment, none of them put off.
 
@@ -64,8 +82,9 @@ class Shown:
 
     def __init__(self, session: SegmentationSession) -> None:
         self._session = session
-        self._planes: tuple[Plane, ...] = ()
+        self._views: tuple[_View, ...] = ()
         self._unsent = np.zeros_like(session.put_off_tiles)
+        # what a tile holds is what the page has, unless its stamp is a later one
         self._sent = session.tile_stamps
 
     @property
@@ -75,86 +94,78 @@ class Shown:
 
     def look(self, planes: tuple[Plane, ...]) -> None:
         """The page looks at these planes from now on."""
-        self._planes = planes
+        known = {n: view for n, plane in enumerate(planes) for view in self._views if view.plane.is_same(plane)}
+        self._views = tuple(known[n] if n in known else self._view(plane) for n, plane in enumerate(planes))
+
+    def _view(self, plane: Plane) -> _View:
+        return _View(plane, self._session.in_sight(plane.normal, plane.offset), np.zeros_like(self._sent))
 
     def note(self, tiles: Bool) -> None:
         """Labels in these tiles may have changed."""
         self._unsent |= tiles
 
     def in_sight(self) -> tuple[bytes, ...]:
-        """What the planes show of tiles that were not sent yet; these stay so."""
+        """What the planes show of tiles in which labels are others than those that were sent."""
+        if not self.has_rest:
+            return ()
+        session = self._session
         boxes: list[Box] = []
-        shape = self._session.geometry.shape
-        for plane in self._planes:
-            thin = _slab(plane, shape)
-            if thin is None:
-                away, reach = self._distances(plane)
-                boxes += [_tile_box(tile, shape) for tile in np.argwhere(self._unsent & (away <= reach))]
-            elif (cropped := self._cropped(thin)) is not None:
-                boxes.append(cropped)
-        return self._messages(boxes)
+        for view in self._views:
+            # other changes were written to all labels, and sent to all pages
+            if view.settled != session.put_off_times:
+                session.settle_sight(view.sight)
+                view.settled = session.put_off_times
+            stamps = session.tile_stamps
+            fresh = view.sight.tiles & (stamps > np.maximum(self._sent, view.sent))
+            view.sent[fresh] = stamps[fresh]
+            boxes += _boxes_of(view.sight, fresh)
+        # off the planes a box may hold labels of before: so has the page, and its tile is not sent yet
+        return (boxes_message(boxes, session.labels_so_far(boxes)),) if boxes else ()
 
     def rest(self) -> tuple[bytes, ...]:
         """Some of what was not sent yet, the nearest to the planes first."""
         session = self._session
         tiles = np.argwhere(self._unsent)
         away = np.full(self._unsent.shape, np.inf)
-        for plane in self._planes:
-            away = np.minimum(away, self._distances(plane)[0])
+        for view in self._views:
+            away = np.minimum(away, _distances(view.plane, self._unsent.shape))
         tiles = tiles[np.argsort(away[self._unsent], kind="stable")][:SETTLED_AT_ONCE]
-        boxes = [_tile_box(tile, session.geometry.shape) for tile in tiles]
-        session.settle_boxes(boxes)
-        stamps = session.tile_stamps
-        sent: list[Box] = []
-        for tile, box in zip(tiles, boxes, strict=True):
-            at = tuple(tile)
-            if stamps[at] > self._sent[at]:
-                if len(sent) == SENT_AT_ONCE:
-                    continue
-                sent.append(box)
-            self._unsent[at] = False
-            self._sent[at] = stamps[at]
-        return self._messages(sent)
-
-    def _messages(self, boxes: Sequence[Box]) -> tuple[bytes, ...]:
-        return (boxes_message(boxes, self._session.labels_of_boxes(boxes)),) if boxes else ()
-
-    def _cropped(self, box: Box) -> Box | None:
-        """The part of a box around the tiles in it that were not sent yet."""
-        k, j, i = (slice(one.start // TILE, (one.stop - 1) // TILE + 1) for one in box)
-        found: Int64 = np.argwhere(self._unsent[k, j, i])
-        if not len(found):
-            return None
-        low, high = found.min(axis=0), found.max(axis=0) + 1
-        parts = (
-            slice(max(one.start, (tiles.start + a) * TILE), min(one.stop, (tiles.start + b) * TILE))
-            for one, tiles, a, b in zip(box, (k, j, i), low.tolist(), high.tolist(), strict=True)
-        )
-        k, j, i = parts
-        return k, j, i
-
-    def _distances(self, plane: Plane) -> tuple[Float64, float]:
-        """How far the middle of each tile is from a plane, and up to which distance the plane meets it."""
-        middles = [TILE * np.arange(n) + 0.5 * (TILE - 1) for n in self._unsent.shape]
-        k, j, i = np.meshgrid(*middles, indexing="ij", sparse=True)
-        a, b, c = plane.normal
-        length = float(np.linalg.norm(plane.normal))
-        reach = (0.5 * TILE + _EDGE) * float(np.abs(plane.normal).sum())
-        return np.abs(a * i + b * j + c * k - plane.offset) / length, reach / length
+        fresh: list[Box] = []
+        start = time.perf_counter()
+        for first in range(0, len(tiles), _GROUP):
+            group = tiles[first : first + _GROUP]
+            boxes = [_tile_box(tile, session.geometry.shape) for tile in group]
+            session.settle_boxes(boxes)
+            stamps = session.tile_stamps
+            for tile, box in zip(group, boxes, strict=True):
+                at = tuple(tile)
+                if stamps[at] > self._sent[at]:
+                    fresh.append(box)
+                self._unsent[at] = False
+                self._sent[at] = stamps[at]
+            if time.perf_counter() - start > _LONG_S:
+                break
+        return (boxes_message(fresh, session.labels_of_boxes(fresh)),) if fresh else ()
 
 
-def _slab(plane: Plane, shape: tuple[int, ...]) -> Box | None:
-    """The voxels that a plane along the voxels' axes shows; None where it lies obliquely."""
-    size = np.abs(plane.normal)
-    axis = int(size.argmax())
-    if (np.delete(size, axis) > _STRAIGHT * size[axis]).any():
-        return None
-    box = [slice(0, n) for n in shape]
-    at, count = plane.offset / plane.normal[axis], shape[2 - axis]
-    first, last = (int(np.clip(np.floor(at + 0.5 + edge), 0, count - 1)) for edge in (-_EDGE, _EDGE))
-    box[2 - axis] = slice(first, last + 1)
-    k, j, i = box
-    return k, j, i
+def _boxes_of(sight: Sight, tiles: Bool) -> list[Box]:
+    """Boxes around what a plane shows of some tiles: one where it lies along the scan's axes."""
+    low, high = sight.low[tiles], sight.high[tiles]
+    if sight.is_box and len(low):
+        low, high = low.min(axis=0, keepdims=True), high.max(axis=0, keepdims=True)
+    return [
+        (slice(k0, k1), slice(j0, j1), slice(i0, i1))
+        for (k0, j0, i0), (k1, j1, i1) in zip(low.tolist(), high.tolist(), strict=True)
+    ]
+
+
+def _distances(plane: Plane, tile_counts: tuple[int, ...]) -> Float64:
+    """How far the middle of each tile is from a plane."""
+    middles = [TILE * np.arange(n) + 0.5 * (TILE - 1) for n in tile_counts]
+    k, j, i = np.meshgrid(*middles, indexing="ij", sparse=True)
+    a, b, c = plane.normal
+    away: Float64 = np.abs(a * i + b * j + c * k - plane.offset) / np.linalg.norm(plane.normal)
+    return away
 
 
 def _tile_box(tile: Int64, shape: tuple[int, ...]) -> Box:
