@@ -20,11 +20,26 @@ from heartcase.simulator.simulation import Simulation
 from tests.simulator.live.scenes import write_case
 from tests.studio.axe.accessible import assert_accessible
 from tests.studio.offline.browser import with_web_gpu
+from tests.studio.operating.charts import write_charted
+from tests.studio.page.browsing import until
 
 READY = "body[data-ready=true]"
 PLACES = """() => {
   const { nodes } = heartcase.picture.heart;
   return [...nodes.displacement.subarray(0, 4 * nodes.count)];
+}"""
+
+WITH_AND_WITHOUT_MAP = """() => {
+  const { picture } = heartcase;
+  const { hasMap, normalMap } = picture.heart.uniforms;
+  const drawn = (has) => {
+    hasMap.value = has;
+    picture.draw();
+    return picture.canvas.toDataURL();
+  };
+  const { width, height } = normalMap.value.image;
+  const has = hasMap.value;
+  return { size: [width, height], with: drawn(has), without: drawn(false), again: drawn(has) };
 }"""
 
 
@@ -79,16 +94,32 @@ def test_only_its_own_script_runs_and_nothing_is_fetched(recorded):
     assert not re.search(r'(src|href)="(?!data:|#)', text.partition("<script>")[0])
 
 
+def test_it_is_lit_by_the_normal_map_of_the_case(chromium, tmp_path):
+    case, surface = write_charted(tmp_path)
+    page = tmp_path / "page.html"
+    assert main(["export", str(case), "-o", str(page)]) == 0
+    tab = chromium.new_page()
+    tab.goto(page.as_uri())
+    tab.wait_for_selector(READY, timeout=60_000)
+    height, width = surface.normal_map.shape[:2]
+    until(lambda: tab.evaluate("() => !heartcase.picture.detail.isMoving"))
+    seen = tab.evaluate(WITH_AND_WITHOUT_MAP)
+    assert seen["size"] == [width, height]
+    assert seen["with"] != seen["without"]
+    assert seen["with"] == seen["again"]
+    tab.close()
+
+
 def test_it_holds_the_case_and_the_recording(recorded):
     case, recording, page = recorded
     table, parts = contents(page)
     kinds = [header_of(part)["kind"] for part in parts]
     # the recording begins with the case's own surface, which stands once
-    assert kinds[:2] == ["topology", "springs"]
-    assert set(kinds[2:]) == {"frame"}
+    assert kinds[:3] == ["topology", "springs", "landmarks"]
+    assert set(kinds[3:]) == {"frame"}
     opened = open_recording(recording)
     assert table["case"] == [0, 1]
-    assert table["recordings"] == [{"name": "pull", "parts": [0, *range(2, len(parts))]}]
+    assert table["recordings"] == [{"name": "pull", "parts": [0, *range(3, len(parts))]}]
     times = [header_of(part)["time_s"] for part in parts if header_of(part)["kind"] == "frame"]
     assert times[0] == 0.0
     assert times[-1] == pytest.approx(opened.seconds)
