@@ -12,6 +12,7 @@ import uvicorn
 
 from heartcase.schemas.errors import UsageError
 from heartcase.studio.asking import REQUEST_SIZE_MAX
+from heartcase.studio.serving.allocator import allocate_from_one_heap
 from heartcase.studio.serving.app import make_app
 from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
@@ -53,6 +54,7 @@ def serve(
     UsageError
         The port is taken, or the case cannot be opened.
     """
+    allocate_from_one_heap()
     token = secrets.token_urlsafe(24)
     registry, address = Registry(token), "/"
     opened = recipe or case
