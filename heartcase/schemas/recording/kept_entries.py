@@ -12,7 +12,7 @@ import tempfile
 import threading
 import weakref
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import BinaryIO, cast, overload
 
@@ -149,6 +149,18 @@ class KeptEntries(Sequence[Entry]):
                 bisect_left(self._rare, start), len(self._rare) if end is None else bisect_left(self._rare, end)
             )
             return [self._rare[n] for n in wanted if issubclass(self._rare_kinds[n], kinds)]
+
+    def last_of(self, kinds: type | tuple[type, ...], is_it: Callable[[Entry], bool]) -> tuple[int, Entry] | None:
+        """Position and entry of the last command of these kinds for which something holds; None where there is none.
+
+        In one go: what another thread drops meanwhile is either still there or not.
+        """
+        with self._lock:
+            for number in reversed(self.places_of(kinds)):
+                entry = self._one(number)
+                if is_it(entry):
+                    return number, entry
+            return None
 
     def has_any(self, kinds: tuple[type, ...], start: int, end: int) -> bool:
         """Whether a command of these kinds stands from ``start`` to before ``end``."""

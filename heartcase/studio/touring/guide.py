@@ -117,32 +117,29 @@ class Guide:
     def _is_there(self, live: Live) -> bool:
         """Whether the session is where the last step left it, but for time that went by."""
         entries, position = live.session.entries, live.session.position
-        at = self._found(live, self._reached[-1].mark)
-        if at is None or at >= position or live.newest.frame.coming_cuts:
+        found = self._found(live, self._reached[-1].mark)
+        if found is None or found[0] >= position or live.newest.frame.coming_cuts:
             return False
-        return not entries.has_any((*_OWN, Halt), at + 1, position)
+        return not entries.has_any((*_OWN, Halt), found[0] + 1, position)
 
-    def _found(self, live: Live, mark: str) -> int | None:
-        """Place of a mark in what the session knows."""
-        entries = live.session.entries
-        for number in reversed(entries.places_of(Mark)):
-            command = entries[number].command
-            if isinstance(command, Mark) and command.name == mark:
-                return number
-        return None
+    def _found(self, live: Live, mark: str) -> tuple[int, int] | None:
+        """Place of a mark in what the session knows, and its step."""
+        found = live.session.entries.last_of(
+            Mark, lambda entry: isinstance(entry.command, Mark) and entry.command.name == mark
+        )
+        return None if found is None else (found[0], found[1].step)
 
     async def _return(self, live: Live, kept: int) -> None:
         """Go to where so many of the moments that were reached are, or further back where those are not known."""
-        while kept > 0:
-            at = self._found(live, self._reached[kept - 1].mark)
-            if at is not None:
-                break
-            kept -= 1
-        if kept == 0:
+        found = None
+        while kept > 0 and found is None:
+            found = self._found(live, self._reached[kept - 1].mark)
+            kept -= found is None
+        if found is None:
             self._reached = []
             raise LostWayError
         del self._reached[kept:]
-        step = live.session.entries[at or 0].step
+        _, step = found
         await self._asked(live, GoTo(step=step))
         await self._until(live, lambda: live.newest.frame.step == step and live.newest.mode == "paused")
         live.pause(False)
@@ -168,8 +165,8 @@ class Guide:
         name = f"{words} ({self._count})"
         live.pause(False)
         await self._asked(live, Mark(name=name))
-        at = self._found(live, name)
-        step = live.newest.frame.step if at is None else live.session.entries[at].step
+        found = self._found(live, name)
+        step = live.newest.frame.step if found is None else found[1]
         # What comes next is given at a later step: going to this one leaves it out.
         await self._until_step(live, step + 1)
         return name

@@ -141,8 +141,15 @@ def plain_cell_layout(model, layout):
     touches = np.full((len(held) + len(ghost_rows), max(8, int(place.max()) + 1)), -1, np.int64)
     touches[here, place] = there
     rows = np.concatenate([layout.window_rows[held], ghost_rows])
+    # The middle one of a window's rows is its own.
+    cell_slot = LANE_COUNT * window_of_cell + cell_lane - rows[window_of_cell, 4]
     return lanes.CellLayout(
-        layout=layout, cell_lane=cell_lane, window_rows=rows, touches=touches, ghost_lane=ghost_lane
+        layout=layout,
+        cell_lane=cell_lane,
+        cell_slot=cell_slot,
+        window_rows=rows,
+        touches=touches,
+        ghost_lane=ghost_lane,
     )
 
 

@@ -109,7 +109,7 @@ KERNELS = {
     "step in turn": (STEPS_BY_ORDER[False], STEP),
     "element": (element_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
     "gradient": (gradient_of_window, [*[ARRAY] * 3, ROWS, WINDOW]),
-    "mean stress": (mean_stress_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
+    "mean stress": (mean_stress_of_window, [*[ARRAY] * 5, ROWS, WINDOW, WINDOW]),
     "sharing element": (sharing_element_of_window, [*[ARRAY] * 6, ROWS, WINDOW]),
     "guard": (guard_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
 }

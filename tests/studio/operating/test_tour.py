@@ -30,7 +30,7 @@ def arrived(page, step, state="ready"):
     while True:
         found = page.hear("tour")
         if found["step"] == step and found["state"] in ("ready", "failed"):
-            assert found["state"] == state, found
+            assert found["state"] == state, found.get("problems")
             return found
 
 
