@@ -3,7 +3,6 @@
 /** @typedef {import("./geometry.js").Camera} Camera */
 /** @typedef {import("./geometry.js").Lattice} Lattice */
 /** @typedef {import("./geometry.js").Vector} Vector */
-/** @typedef {import("./slice_view.js").Part} Part */
 /** @typedef {import("./volume.js").Volume} Volume */
 /** @typedef {{low: number, high: number, opacity: number, outline: boolean}} Look */
 
@@ -78,13 +77,12 @@ export class SliceShader {
    * @param {Camera} camera
    * @param {Vector} through
    * @param {Look} look
-   * @param {Part} part of the canvas
-   * @param {Part} stale what of it is drawn
+   * @param {{x: number, y: number, width: number, height: number}} part of the canvas, device pixels from below
    */
-  draw(volume, lattice, camera, through, look, part, stale) {
+  draw(volume, lattice, camera, through, look, part) {
     const { gl, at } = this;
     gl.viewport(part.x, part.y, part.width, part.height);
-    gl.scissor(stale.x, stale.y, stale.width, stale.height);
+    gl.scissor(part.x, part.y, part.width, part.height);
     gl.useProgram(this.program);
     gl.bindVertexArray(this.array);
     const scale = camera.height / part.height;

@@ -1,6 +1,6 @@
 /** The three slices and the solids: drawn into one canvas behind their tiles, each only when it changed. */
 
-import { Lattice, plus, SIDES } from "./geometry.js";
+import { boxMeetsPlane, Lattice, plus, SIDES } from "./geometry.js";
 import { PATIENT_PLANES, turned, turnedPlanes } from "./planes.js";
 import { drawOverlay, drawSolidOverlay, sidesOf } from "./overlay.js";
 import { SliceShader } from "./slice_shader.js";
@@ -132,7 +132,9 @@ export class Views {
     const lattice = this.studio.lattice.value;
     if (this.volume === null || lattice === null) return;
     this.volume.setLabels(low, size, bytes);
-    for (const view of this.all) view.noteLabels(lattice, low, size);
+    for (const view of this.all) {
+      if (boxMeetsPlane(lattice, low, size, view.camera.frame.normal, this.studio.crosshair.value)) view.isStale = true;
+    }
     this.solid.isStale = true;
     this.#ask();
   }
@@ -263,16 +265,14 @@ export class Views {
     const lattice = studio.lattice.value;
     if (lattice === null || volume === null || !volume.isComplete || this.#waits) return;
     for (const view of this.all) {
-      const part = this.#partOf(view);
-      const stale = view.stalePart(part);
-      if (stale !== null) {
+      if (view.isStale) {
         const shown = studio.labelsShown.value;
         const look = {
           ...studio.window.value,
           opacity: shown ? studio.opacity.value : 0,
           outline: shown && studio.outline.value,
         };
-        this.slices.draw(volume, lattice, view.camera, studio.crosshair.value, look, part, stale);
+        this.slices.draw(volume, lattice, view.camera, studio.crosshair.value, look, this.#partOf(view));
       }
       if (view.isStale || view.overlayIsStale) {
         drawOverlay(view.pen, view.name, view.camera, studio, this.measures.all);
@@ -280,7 +280,6 @@ export class Views {
         this.#tellPosition(view, lattice);
       }
       view.isStale = view.overlayIsStale = false;
-      view.changed = null;
     }
     this.#drawSolid(volume, lattice);
   }
