@@ -57,6 +57,9 @@ def test_they_are_as_those_of_a_list(data, block):
         assert kept.has_any(kinds, start, end) == bool(places)
         rare = tuple(kind for kind in kinds if kind not in (Advance, LeadGrab))
         assert kept.places_of(rare, start, end) == [n for n in places if isinstance(plain[n].command, rare)]
+        even = [n for n in range(min(end, len(plain))) if isinstance(plain[n].command, rare) and plain[n].step % 2 == 0]
+        wanted = (even[-1], plain[even[-1]]) if even else None
+        assert kept.last_of(rare, lambda entry: entry.step % 2 == 0, end) == wanted
         position = data.draw(st.integers(0, len(plain)))
         kept.drop_from(position)
         del plain[position:], origins[position:]

@@ -150,13 +150,15 @@ class KeptEntries(Sequence[Entry]):
             )
             return [self._rare[n] for n in wanted if issubclass(self._rare_kinds[n], kinds)]
 
-    def last_of(self, kinds: type | tuple[type, ...], is_it: Callable[[Entry], bool]) -> tuple[int, Entry] | None:
-        """Position and entry of the last command of these kinds for which something holds; None where there is none.
+    def last_of(
+        self, kinds: type | tuple[type, ...], is_it: Callable[[Entry], bool], end: int | None = None
+    ) -> tuple[int, Entry] | None:
+        """Position and entry of the last command of these kinds, before ``end``, for which something holds, or None.
 
         In one go: what another thread drops meanwhile is either still there or not.
         """
         with self._lock:
-            for number in reversed(self.places_of(kinds)):
+            for number in reversed(self.places_of(kinds, end=end)):
                 entry = self._one(number)
                 if is_it(entry):
                     return number, entry

@@ -445,12 +445,10 @@ class Live:
             self._goals.set(LeadGrab(name=name, offset_mm=(0.0, 0.0, 0.0)), SOFT_SPEED_MM_S)
             self._leaving[name] = OpenGrab(name=name)
         elif any(probe.name == name for probe in simulation.probes):
-            known = self.session.entries
-            for at in reversed(known.places_of(BringProbe, end=self.session.position)):
-                came = known[at].command
-                if isinstance(came, BringProbe) and came.name == name:
-                    self._goals.set(MoveProbe(name=name, center_mm=came.center_mm), SOFT_SPEED_MM_S)
-                    break
+            known, end = self.session.entries, self.session.position
+            came = known.last_of(BringProbe, lambda entry: getattr(entry.command, "name", None) == name, end)
+            if came is not None and isinstance(came[1].command, BringProbe):
+                self._goals.set(MoveProbe(name=name, center_mm=came[1].command.center_mm), SOFT_SPEED_MM_S)
             self._leaving[name] = WithdrawProbe(name=name)
 
     def _leave(self) -> None:
