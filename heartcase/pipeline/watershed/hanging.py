@@ -283,13 +283,17 @@ def _parted(marked, landscape, graph, absorbed, larger, place, marks):
     return np.array(found)
 
 
-@kernel
-def _groups(parted, end):
-    """By place: the number of the last parted place before it that it hangs on."""
-    group = np.empty(len(end), np.int32)
+@kernel(cached=False)
+def _stretches(parted, end):
+    """Stretches of places that hang on the same parted place: where each begins, and the number of that place.
+
+    The last one ends with the places. There are no more than two for each that is parted.
+    """
+    first, number = np.empty(2 * len(parted), np.int64), np.empty(2 * len(parted), np.int32)
     # parted places that hold others, the innermost last
     stack = np.empty(len(parted), np.int32)
     depth = -1
+    count = 0
     for n in range(len(parted)):
         at = parted[n]
         until = parted[n + 1] if n + 1 < len(parted) else len(end)
@@ -298,9 +302,19 @@ def _groups(parted, end):
         while at < until:
             while end[parted[stack[depth]]] <= at:
                 depth -= 1
-            stop = min(until, end[parted[stack[depth]]])
-            group[at:stop] = stack[depth]
-            at = stop
+            first[count], number[count] = at, stack[depth]
+            count += 1
+            at = min(until, end[parted[stack[depth]]])
+    return first[:count], number[:count]
+
+
+@kernel
+def _groups(parted, end):
+    """By place: the number of the last parted place before it that it hangs on."""
+    group = np.empty(len(end), np.int32)
+    first, number = _stretches(parted, end)
+    for n in range(len(first)):
+        group[first[n] : first[n + 1] if n + 1 < len(first) else len(end)] = number[n]
     return group
 
 
@@ -365,20 +379,10 @@ def _levels(parted, parted_level, above, key, level, first, stop):
 def _count(parted, end, label, voxels_before):
     """How many voxels the basins of each label have, int64, shape (256,), as if none of them were marked."""
     count = np.zeros(256, np.int64)
-    # as in _groups
-    stack = np.empty(len(parted), np.int32)
-    depth = -1
-    for n in range(len(parted)):
-        at = parted[n]
-        until = parted[n + 1] if n + 1 < len(parted) else len(end)
-        depth += 1
-        stack[depth] = n
-        while at < until:
-            while end[parted[stack[depth]]] <= at:
-                depth -= 1
-            stop = min(until, end[parted[stack[depth]]])
-            count[label[stack[depth]]] += voxels_before[stop] - voxels_before[at]
-            at = stop
+    first, number = _stretches(parted, end)
+    for n in range(len(first)):
+        stop = first[n + 1] if n + 1 < len(first) else len(end)
+        count[label[number[n]]] += voxels_before[stop] - voxels_before[first[n]]
     return count
 
 
