@@ -66,8 +66,10 @@ def test_a_dicom_series_is_the_same_scan_and_names_nobody(tmp_path, modality):
     one, two = (sorted((tmp_path / name / "dicom").iterdir()) for name in ("one", "two"))
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
     assert str(dcmread(one[0]).PatientName) == "child phantom"
+    before = (tmp_path / "one" / "scan.nii.gz").read_bytes()
     with pytest.raises(UsageError, match="is there and is not empty"):
-        run(tmp_path / "one", *given)
+        run(tmp_path / "one", *given, "--seed", "7")
+    assert (tmp_path / "one" / "scan.nii.gz").read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -98,9 +98,12 @@ def command(
     from heartcase.phantom.drawing.recipe import recipe_text
     from heartcase.phantom.scan.acquisition import acquire_ct, acquire_mri
     from heartcase.pipeline.data import Scan, Segmentation
-    from heartcase.pipeline.formats.write_dicom_series import write_dicom_series
+    from heartcase.pipeline.formats.write_dicom_series import check_series_folder, write_dicom_series
     from heartcase.pipeline.formats.write_images import write_scan, write_segmentation
 
+    if dicom:
+        # before anything is written over
+        check_series_folder(out_dir / "dicom")
     voxel = _spacing(spacing, size)
     phantom = HeartPhantom.of_size(size)
     defects = []

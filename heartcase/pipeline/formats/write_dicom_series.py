@@ -17,7 +17,19 @@ from heartcase.schemas.arrays import Int16
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["write_dicom_series"]
+__all__ = ["check_series_folder", "write_dicom_series"]
+
+
+def check_series_folder(folder: Path) -> None:
+    """See that a series can be written into a folder: where it holds something, that would be read as part of it.
+
+    Raises
+    ------
+    UsageError
+        The folder is there and is not empty.
+    """
+    if folder.is_dir() and any(folder.iterdir()):
+        raise UsageError("is there and is not empty: choose another folder, or empty it", place=folder.name)
 
 
 def write_dicom_series(scan: Scan, folder: Path, *, name: str) -> list[Path]:
@@ -28,7 +40,7 @@ def write_dicom_series(scan: Scan, folder: Path, *, name: str) -> list[Path]:
     scan
         Values and geometry; CT is written as CT, all else as MR.
     folder
-        New folder: where it holds something, that would be read as part of the series.
+        New folder, or one that holds nothing.
     name
         Stands for the patient's name and number.
 
@@ -42,8 +54,7 @@ def write_dicom_series(scan: Scan, folder: Path, *, name: str) -> list[Path]:
     UsageError
         The folder is there and is not empty.
     """
-    if folder.is_dir() and any(folder.iterdir()):
-        raise UsageError("is there and is not empty: choose another folder, or empty it", place=folder.name)
+    check_series_folder(folder)
     folder.mkdir(exist_ok=True)
     stored = np.clip(np.rint(scan.values), -(2**15), 2**15 - 1).astype("<i2")
     digest = hashlib.sha256(
