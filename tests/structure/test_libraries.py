@@ -8,6 +8,9 @@ import sys
 import tomllib
 from importlib.metadata import packages_distributions
 
+import pytest
+from packaging.requirements import Requirement
+
 from heartcase.cli.main import _EXTRA_OF_MODULE, _PREPARE_MODULES
 from tests.structure.test_rooms import PACKAGE, modules
 
@@ -69,3 +72,24 @@ def test_a_module_that_is_missing_is_said_to_be_in_the_extra_that_has_it():
     for module, extra in _EXTRA_OF_MODULE.items():
         if module in of:
             assert plain(of[module][0]) in extras[extra], module
+
+
+@pytest.mark.parametrize(("lock", "extras"), [
+    ("requirements.lock", ("", "prepare", "studio", "dev")),
+    ("requirements-lowest.lock", ("", "prepare", "studio", "dev")),
+    ("requirements-prepare.lock", ("", "prepare")),
+    ("requirements-plain.lock", ("",)),
+])  # fmt: skip
+def test_a_lock_file_pins_what_is_asked_for(lock, extras):
+    text = (PACKAGE.parent / lock).read_text()
+    # One name may be pinned once for each Python.
+    pinned: dict[str, list[str]] = {}
+    for name, version in re.findall(r"^([\w.-]+)(?:\[[\w,]+\])?==([^\s;]+)", text, re.MULTILINE):
+        pinned.setdefault(plain(name), []).append(version)
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    several = {"": project["dependencies"], **project["optional-dependencies"]}
+    for each in (Requirement(line) for extra in extras for line in several[extra]):
+        if each.name != "heartcase":
+            versions = pinned.get(plain(each.name), [])
+            assert versions, f"{lock} has no {each.name}: run make lock"
+            assert all(each.specifier.contains(version) for version in versions), f"{lock}: {each} against {versions}"
