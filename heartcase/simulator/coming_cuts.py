@@ -55,6 +55,7 @@ def cut_tissue(
     cuttable: CuttableSurface | None,
     has_picking: bool,
     backend: Backend,
+    before: Engine | None = None,
 ) -> CutTissue:
     """Cut a lattice further, with all that follows it.
 
@@ -68,6 +69,8 @@ def cut_tissue(
         Whether the one-to-one surface is wanted.
     backend
         What moves it.
+    before
+        What moves the lattice now, where there is that.
 
     Raises
     ------
@@ -80,7 +83,7 @@ def cut_tissue(
         split = split_surface(cuttable, further.parted, further.sheets)
     picking = cut_picking(without_loose_nodes(left)) if has_picking else None
     # A device belongs to the thread that talks to it.
-    engine = None if backend == "cuda" else make_engine(left, backend)
+    engine = None if backend == "cuda" else make_engine(left, backend, before)
     return CutTissue(model, left, further, step, split, picking, engine)
 
 
@@ -117,7 +120,8 @@ class CutsAhead:
         model: LatticeModel,
         cuts: Cuts | None,
         nothing_cut: Cuts,
-        work: Callable[[LatticeModel, Cuts, Float64], CutTissue],
+        engine: Engine,
+        work: Callable[[LatticeModel, Cuts, Float64, Engine | None], CutTissue],
     ) -> None:
         """Begin to work out a cut, behind all that were begun before.
 
@@ -129,16 +133,18 @@ class CutsAhead:
             The lattice now, and what was cut of it.
         nothing_cut
             What a first cut begins with.
+        engine
+            What moves the lattice now.
         work
-            Works it out, given a lattice, what was cut of it, and the points.
+            Works it out, given a lattice, what was cut of it, the points, and what moves the lattice.
         """
         last = self._coming[-1].tissue if self._coming else None
 
         def further() -> CutTissue:
             if last is None:
-                return work(model, nothing_cut if cuts is None else cuts, points)
+                return work(model, nothing_cut if cuts is None else cuts, points, engine)
             found = last.result()
-            return work(found.model, found.cuts, points)
+            return work(found.model, found.cuts, points, found.engine)
 
         future: Future[CutTissue] = Future()
         self._coming.append(_Coming(points, cuts if last is None else last, future))

@@ -16,7 +16,7 @@ from heartcase.simulator.cutting.rest_space import blade_at_rest, refined
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.joining import join
 from heartcase.simulator.dynamics.step_size import checked_step, explicit_rate_limit, own_step_limit
-from heartcase.simulator.engine.backends import Backend, make_engine
+from heartcase.simulator.engine.backends import Backend, Engine, make_engine
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.loose_nodes import without_loose_nodes
 from heartcase.simulator.lattice.model import LatticeModel
@@ -131,7 +131,7 @@ class MovingTissue:
         points = blade_points(self.model, rest_mm, name, may_be_open=True)
         made = self._ahead.take(points, self.model, self.cuts)
         if made is None:
-            made = self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points)
+            made = self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points, self._engine)
         model, cuts, step = made.model, made.cuts, made.step
         if self.model.explicit is not made.before.explicit:
             model = replace(model, explicit=step.joined(self.model.explicit))
@@ -169,7 +169,7 @@ class MovingTissue:
         points = blade_points(self.model, rest_mm, name, may_be_open=True)
         nothing_cut = self.nothing_cut()
         self._prepare_split(nothing_cut)
-        self._ahead.begin(points, self.model, self.cuts, nothing_cut, self._cut_tissue)
+        self._ahead.begin(points, self.model, self.cuts, nothing_cut, self._engine, self._cut_tissue)
         return rest_mm
 
     @property
@@ -187,7 +187,7 @@ class MovingTissue:
         middle = self.model.node_index[self.model.cell_corners[0]].mean(axis=0)
         points = middle + 0.4 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
         blade_at_rest(self.model, np.ones((self.model.node_count, 3), np.float32), points)
-        self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points)
+        self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points, None)
 
     def rest_poses_mm(self, poses_mm: Poses, *, name: str = "blade") -> Float64:
         """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
@@ -349,7 +349,7 @@ class MovingTissue:
             picking = cut_picking(without_loose_nodes(model)) if made is None else made.picking
         engine = None if made is None else made.engine
         if engine is None:
-            engine = make_engine(model, self.backend)
+            engine = make_engine(model, self.backend, self._engine)
         elif made is not None and model is not made.model:
             engine.set_springs(model)
         engine.step_count = self._engine.step_count
@@ -358,7 +358,7 @@ class MovingTissue:
         self._inverse_mass, self._engine = model.inverse_mass, engine
         self._surfaces = self._make_surfaces()
 
-    def _cut_tissue(self, model: LatticeModel, cuts: Cuts, points: Float64) -> CutTissue:
+    def _cut_tissue(self, model: LatticeModel, cuts: Cuts, points: Float64, before: Engine | None) -> CutTissue:
         """What one more cut leaves of some lattice, of which so much was cut."""
         return cut_tissue(
             model,
@@ -367,6 +367,7 @@ class MovingTissue:
             cuttable=self._prepare_split(cuts),
             has_picking=self._whole_picking is not None,
             backend=self.backend,
+            before=before,
         )
 
     def _prepare_split(self, cuts: Cuts) -> CuttableSurface | None:

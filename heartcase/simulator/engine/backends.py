@@ -62,8 +62,17 @@ class Engine(Protocol):
         """Spring forces now, shape (node_count, 3), or on some nodes, shape (len(nodes), 3)."""
 
 
-def make_engine(model: LatticeModel, backend: Backend) -> Engine:
+def make_engine(model: LatticeModel, backend: Backend, before: Engine | None = None) -> Engine:
     """The engine of a backend, with the state at rest.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    backend
+        The backend.
+    before
+        An engine of a lattice before it, whose layout may be gone on with: it is the same without, and takes longer.
 
     Raises
     ------
@@ -73,7 +82,7 @@ def make_engine(model: LatticeModel, backend: Backend) -> Engine:
     if backend == "cpu":
         from heartcase.simulator.engine.cpu.engine import CpuEngine
 
-        return CpuEngine(model)
+        return CpuEngine(model, before if isinstance(before, CpuEngine) else None)
     if backend == "cuda":
         from heartcase.simulator.engine.cuda.engine import CudaEngine
 

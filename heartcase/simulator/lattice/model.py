@@ -365,20 +365,22 @@ def make_model(
 @kernel
 def _least_means(corners: Int32, own: Float64, is_fixed: Bool, scale: Float64) -> None:
     """Write a number of each cell or, if more, the least of the means around its free corners."""
-    total, count = np.zeros(len(is_fixed)), np.zeros(len(is_fixed))
+    # Numbers without a sign are not looked at for counting from the end.
+    mean, count = np.zeros(len(is_fixed)), np.zeros(len(is_fixed))
     for cell in range(len(corners)):
         for corner in range(8):
-            total[corners[cell, corner]] += own[cell]
-            count[corners[cell, corner]] += 1.0
+            node = np.uint32(corners[cell, corner])
+            mean[node] += own[cell]
+            count[node] += 1.0
     for node in range(len(is_fixed)):
         if is_fixed[node]:
-            total[node] = np.inf
-        elif total[node] > 0.0:
-            total[node] /= count[node]
+            mean[node] = np.inf
+        elif mean[node] > 0.0:
+            mean[node] /= count[node]
     for cell in range(len(corners)):
         least = np.inf
         for corner in range(8):
-            least = min(least, total[corners[cell, corner]])
+            least = min(least, mean[np.uint32(corners[cell, corner])])
         scale[cell] = max(own[cell], least) if least < np.inf else own[cell]
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.simulator.engine.cpu import sleep
-from heartcase.simulator.engine.cpu.chunks import _windows_behind as windows_behind
+from heartcase.simulator.engine.cpu.chunks import behind_windows
 from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.shared import rows
 from heartcase.simulator.engine.shared.cell_lanes import cell_layout, cell_numbers, inverse_shared, share_numbers
@@ -74,7 +74,7 @@ def test_layouts_are_those_of_plain_numpy(model, in_banks):
     np.testing.assert_array_equal(layout.irregular_springs(model), irregular, strict=True)
     assert layout.spring_weight(model).tobytes() == plain_spring_weight(model, plain, model.spring_weight).tobytes()
     assert_same_bytes(cell_layout(model, layout), plain_cell_layout(model, plain))
-    np.testing.assert_array_equal(windows_behind(layout), plain_windows_behind(plain), strict=True)
+    np.testing.assert_array_equal(behind_windows(layout), plain_windows_behind(plain), strict=True)
     np.testing.assert_array_equal(model.corner_guard_scale, plain_corner_guard_scale(model), strict=True)
 
 

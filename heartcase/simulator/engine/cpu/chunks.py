@@ -19,12 +19,11 @@ from numba import get_num_threads
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Int32, Int64
 from heartcase.simulator.engine.cpu.sleep import SleepArrays
-from heartcase.simulator.engine.shared.cell_kernels import write_lists
-from heartcase.simulator.engine.shared.lane_kernels import windows_behind
+from heartcase.simulator.engine.shared.lane_kernels import list_windows, ranges_behind, write_behind
 from heartcase.simulator.engine.shared.lanes import LaneLayout
 from heartcase.simulator.lattice.model import DIRECTIONS
 
-__all__ = ["KEPT_NODES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
+__all__ = ["KEPT_NODES_MAX", "ChunkArrays", "behind_windows", "chunk_arrays", "share_out"]
 
 
 KEPT_NODES_MAX = 120_000
@@ -61,14 +60,12 @@ class ChunkArrays(NamedTuple):
     """How many these are, shape (1,)."""
 
 
-def chunk_arrays(
-    layout: LaneLayout, touches: Int64, sleep: SleepArrays, layer_count: int, keeps_tensions: bool
-) -> ChunkArrays:
+def chunk_arrays(behind: Int32, touches: Int64, sleep: SleepArrays, layer_count: int) -> ChunkArrays:
     """Share out the windows of a layout to as many chunks as there are threads, if its layers are enough."""
     chunk_count = max(1, min(get_num_threads(), layer_count // _LAYERS_MIN))
-    window_count = layout.window_count
+    window_count = len(behind)
     chunks = ChunkArrays(
-        _windows_behind(layout) if keeps_tensions else np.full((window_count, 1), -1, np.int32),
+        behind,
         np.zeros(chunk_count + 1, np.int64),
         np.zeros((chunk_count, window_count), np.int32),
         np.zeros(chunk_count, np.int64),
@@ -84,12 +81,17 @@ def chunk_arrays(
     return chunks
 
 
-def _windows_behind(layout: LaneLayout) -> Int32:
-    window_count, (starts, window_of) = layout.window_count, layout.windows_by_lanes
-    room, firsts = np.empty(2 * len(DIRECTIONS) * window_count, np.int32), np.empty(window_count + 1, np.int64)
-    longest = windows_behind(layout.window_rows, DIRECTIONS, starts, window_of, room, firsts)
-    behind = np.empty((window_count, max(1, longest)), np.int32)
-    write_lists(room, firsts, behind)
+def behind_windows(layout: LaneLayout) -> Int32:
+    """Windows with the other ends of the springs behind each window's lanes, then -1, shape (window_count, any)."""
+    window_count = layout.window_count
+    ranges = np.empty((len(DIRECTIONS) * window_count, 3), np.int64)
+    ranges = ranges[: ranges_behind(layout.window_rows, DIRECTIONS, ranges)]
+    # The lanes behind a window along a direction lie in two windows at most.
+    lists, firsts = np.empty(2 * len(DIRECTIONS) * window_count, np.int32), np.empty(window_count + 1, np.int64)
+    longest = list_windows(ranges, *layout.windows_by_lanes, lists, firsts)
+    # Each has its own window in it: a spring along i leads back to the lane before.
+    behind = np.empty((window_count, max(1, longest - 1)), np.int32)
+    write_behind(lists, firsts, behind)
     return behind
 
 
@@ -124,12 +126,14 @@ def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
                 continue
             lowest = awake[first]
             for number in range(first, end):
-                for window in behind[awake[number]]:
+                own = awake[np.uint64(number)]
+                for place in range(behind.shape[1]):
+                    window = behind[np.uint64(own), np.uint64(place)]
                     if window < 0:
                         break
                     # Windows behind come earlier: from the chunk's first on, those that are awake are its own.
-                    is_in_chunk = window >= lowest and not is_asleep[window]
-                    if not is_in_chunk and taken_by[window] != chunk:
+                    is_in_chunk = window >= lowest and not is_asleep[np.uint64(window)]
+                    if not is_in_chunk and taken_by[np.uint64(window)] != chunk:
                         taken_by[window] = chunk
                         before[chunk, before_counts[chunk]] = window
                         before_counts[chunk] += 1
@@ -139,15 +143,16 @@ def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
         for number in range(ends[chunk], ends[chunk + 1]):
             chunk_of[awake[number]] = chunk
     for number in range(sleep.counts[1]):
-        window = awake_cells[number]
-        for touched in touches[window]:
+        window = awake_cells[np.uint64(number)]
+        for place in range(touches.shape[1]):
+            touched = touches[np.uint64(window), np.uint64(place)]
             if touched < 0:
                 break
-            chunk = chunk_of[touched]
+            chunk = chunk_of[np.uint64(touched)]
             if chunk < 0:
                 continue
-            last = cell_counts[chunk] - 1
-            if last < 0 or cells[chunk, last] != window:
+            last = cell_counts[np.uint64(chunk)] - 1
+            if last < 0 or cells[np.uint64(chunk), np.uint64(last)] != window:
                 cells[chunk, last + 1] = window
                 cell_counts[chunk] += 1
     _list_corners(chunks, sleep)
@@ -158,10 +163,12 @@ def _list_corners(chunks: ChunkArrays, sleep: SleepArrays) -> None:
     is_corner = chunks.taken_by
     is_corner[:] = 0
     for number in range(sleep.counts[1]):
-        for touched in chunks.touches[sleep.awake_cells[number]]:
+        window = sleep.awake_cells[np.uint64(number)]
+        for place in range(chunks.touches.shape[1]):
+            touched = chunks.touches[np.uint64(window), np.uint64(place)]
             if touched < 0:
                 break
-            is_corner[touched] = 1
+            is_corner[np.uint64(touched)] = 1
     count = 0
     for window in range(len(is_corner)):
         if is_corner[window]:

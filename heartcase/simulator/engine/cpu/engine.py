@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numba import get_num_threads
 
-from heartcase.schemas.arrays import Float32, Float64, Intp
+from heartcase.schemas.arrays import Float32, Float64, Int32, Intp
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cpu.arrays import (
     CellArrays,
@@ -20,8 +21,8 @@ from heartcase.simulator.engine.cpu.arrays import (
 )
 from heartcase.simulator.engine.cpu.autotune import Autotuner
 from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
-from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, chunk_arrays
-from heartcase.simulator.engine.cpu.ghosts import ghost_arrays
+from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, behind_windows, chunk_arrays
+from heartcase.simulator.engine.cpu.ghosts import GhostArrays, ghost_arrays
 from heartcase.simulator.engine.cpu.instruments import explicit_arrays
 from heartcase.simulator.engine.cpu.kernel import (
     CHUNKS_PER_ROOM,
@@ -34,18 +35,18 @@ from heartcase.simulator.engine.cpu.kernel import (
     lane_forces,
 )
 from heartcase.simulator.engine.cpu.room import aligned, untouched
-from heartcase.simulator.engine.cpu.sleep import ROUNDING, sleep_arrays
+from heartcase.simulator.engine.cpu.sleep import ROUNDING, Blocks, blocks_of, sleep_arrays
 from heartcase.simulator.engine.cpu.springs import WINDOW_NUMBERS
 from heartcase.simulator.engine.cpu.tethers import tether_arrays
 from heartcase.simulator.engine.cpu.turning import turn_arrays
-from heartcase.simulator.engine.shared.cell_lanes import cell_layout, inverse_shared, share_numbers
+from heartcase.simulator.engine.shared.cell_lanes import CellLayout, cell_layout, inverse_shared, share_numbers
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.engine.shared.lane_arrays import (
     copy_into_windows,
     read_vectors,
     write_vectors,
 )
-from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT, SHARE_NUMBERS, lane_layout
+from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT, SHARE_NUMBERS, LaneLayout, lane_layout
 from heartcase.simulator.engine.shared.spring_kernels import copy_from_windows
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.lattice.state import State
@@ -58,11 +59,53 @@ PARALLEL_WINDOWS_MIN = 1024
 """Windows from which on more than one thread pays."""
 
 
-class CpuEngine:
-    """The numba kernel over the lanes of :mod:`heartcase.simulator.engine.shared.lanes`."""
+@dataclass(frozen=True)
+class _Plan:
+    """What of an engine follows from nodes and cells alone; it is not written."""
 
-    def __init__(self, model: LatticeModel) -> None:
-        self.layout = layout = lane_layout(model, in_banks=True)
+    model: LatticeModel
+    layout: LaneLayout
+    cells: CellLayout
+    ghosts: GhostArrays
+    blocks: Blocks
+    behind: Int32
+    """Windows behind each window, where tensions are kept."""
+
+    @classmethod
+    def of(cls, model: LatticeModel) -> _Plan:
+        """Of a lattice."""
+        layout = lane_layout(model, in_banks=True)
+        cells = cell_layout(model, layout)
+        keeps_tensions = model.node_count <= KEPT_NODES_MAX
+        behind = behind_windows(layout) if keeps_tensions else np.full((layout.window_count, 1), -1, np.int32)
+        return cls(model, layout, cells, ghost_arrays(model, cells), blocks_of(model, layout), behind)
+
+    def fits(self, model: LatticeModel) -> bool:
+        """Whether another lattice has the same nodes and cells, of which no springs were removed."""
+        names = ("node_index", "cells", "cell_corners", "cell_is_whole")
+        pairs = [(getattr(self.model, name), getattr(model, name)) for name in names]
+        if any(len(one) != len(other) for one, other in pairs) or not model.cell_is_whole.all():
+            return False
+        return all(one is other or np.array_equal(one, other) for one, other in pairs)
+
+
+class CpuEngine:
+    """The numba kernel over the lanes of :mod:`heartcase.simulator.engine.shared.lanes`.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    before
+        An engine whose layout is gone on with where its lattice has the same nodes and cells; that engine may be in
+        use.
+    """
+
+    def __init__(self, model: LatticeModel, before: CpuEngine | None = None) -> None:
+        known: _Plan | None = None if before is None else before._plan
+        self._plan: _Plan = known if known is not None and known.fits(model) else _Plan.of(model)
+        plan = self._plan
+        self.layout = layout = plan.layout
         self._rows = layout.window_rows
         self._keeps_tensions = model.node_count <= KEPT_NODES_MAX
         # Displacement in two buffers, velocity and inverse mass share one array, what is seldom needed another. Each is
@@ -80,17 +123,15 @@ class CpuEngine:
         self.window_numbers = aligned(
             (layout.window_count + 1 if self._keeps_tensions else 0, WINDOW_NUMBERS, LANE_COUNT)
         )
-        self.cells = cell_layout(model, layout)
-        self._ghosts = ghost_arrays(model, self.cells)
+        self.cells, self._ghosts = plan.cells, plan.ghosts
         self.is_flat = np.zeros(len(self.cells.window_rows), np.int8)
         self.is_touched = np.zeros(layout.window_count, np.int8)
         self._turn = turn_arrays(layout, len(self.cells.window_rows))
         self.probe_impulse: Float64 = np.zeros((0, 6))
         self._given: Float64 = np.zeros((SHARES, 0, 6))
-        before = room[6 * layout.stride :]
-        self._sleep = sleep_arrays(model, layout, len(self.cells.window_rows), before)
+        self._sleep = sleep_arrays(plan.blocks, len(self.cells.window_rows), room[6 * layout.stride :])
         layer_count = int(np.ptp(model.node_index[:, 2])) + 1
-        self._chunks = chunk_arrays(layout, self.cells.touches, self._sleep, layer_count, self._keeps_tensions)
+        self._chunks = chunk_arrays(plan.behind, self.cells.touches, self._sleep, layer_count)
         # Where no cell can act there is no room for what it does.
         may_act = model.law.acts_in_cells or model.law.has_corner_guard
         room_count = -(-(len(self._chunks.ends) - 1) // CHUNKS_PER_ROOM)

@@ -32,7 +32,9 @@ __all__ = [
     "CHECK_STEPS",
     "ROUNDING",
     "ROUSE_STEPS",
+    "Blocks",
     "SleepArrays",
+    "blocks_of",
     "check",
     "feel_probes",
     "remember",
@@ -82,12 +84,21 @@ class SleepArrays(NamedTuple):
     """Room for the velocities before a step, three numbers a lane."""
 
 
-def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int, before: Float32) -> SleepArrays:
-    """The windows of a layout in their blocks; all are awake at first. Room for velocities is given."""
-    window_count = layout.window_count
-    places = np.empty((window_count, 2, 3), np.int32)
+Blocks = tuple[Int32, Int32]
+"""Blocks in which each window begins and ends, and those that touch each block, as in SleepArrays."""
+
+
+def blocks_of(model: LatticeModel, layout: LaneLayout) -> Blocks:
+    """The blocks of a layout's windows."""
+    places = np.empty((layout.window_count, 2, 3), np.int32)
     _blocks_of_windows(model.node_index, layout.slots.by_lane, layout.slots.first, places)
-    number, beside = _numbered_blocks(places)
+    return _numbered_blocks(places)
+
+
+def sleep_arrays(blocks: Blocks, cell_window_count: int, before: Float32) -> SleepArrays:
+    """The windows of a layout in their blocks; all are awake at first. Room for velocities is given."""
+    number, beside = blocks
+    window_count = len(number)
     return SleepArrays(
         number,
         beside,

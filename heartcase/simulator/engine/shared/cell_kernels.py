@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.engine.shared.lane_kernels import list_one, list_windows, node_in_lane
+from heartcase.simulator.engine.shared.lane_kernels import U, node_in_lane
 
 __all__ = [
     "lay_out_cells",
     "number_by_window",
+    "ranges_touched",
     "share_by_node_window",
-    "touched_windows",
     "write_lists",
 ]
 
-_MOST_TOUCHED = 64
-"""Windows that the corners of a window's cells can lie in: eight cells of eight corners."""
 _GHOST_CELLS = 4
 _CELL_ROWS = (4, 5, 7, 8)
 """Rows around a window that its cells have corners in."""
@@ -71,67 +69,64 @@ def lay_out_cells(corners, irregular, node_lane, node_slot, ghost_start, cell_la
 
 
 @kernel
-def touched_windows(corners, node_slot, cell_slot, rows, ghost_window, starts, window_of, cell_in, touches, firsts):
-    """List the windows of nodes that the cells of each window have corners in, ascending.
+def ranges_touched(corners, node_lane, cell_slot, rows, ghost_window, cell_in, ranges):
+    """Write the lanes of nodes that the cells of each window have corners in, for ``list_windows``.
 
     Parameters
     ----------
-    corners, node_slot
-        Nodes of the cells, and each node's window times 8 plus its place there.
+    corners, node_lane
+        Nodes of the cells, and each node's lane.
     cell_slot, rows, ghost_window
-        The same of the cells, the rows of their windows, and the first of these that holds ghosts.
-    starts, window_of
-        As of :func:`heartcase.simulator.engine.shared.lane_kernels.windows_by_lanes`.
+        Each cell's window times 8 plus its place there, the rows of these windows, and the first that holds ghosts.
     cell_in
         Cell in each place of the windows, -1 for none; written.
-    touches, firsts
-        Room for the lists, one after the other, eight for each cell, and for where they begin and the last ends;
-        written.
+    ranges
+        Shape (8 * cell_count, 3); written.
 
     Returns
     -------
     int
-        Length of the longest list.
+        How many are written.
     """
     cell_in[:] = -1
     for cell in range(len(cell_slot)):
-        cell_in[cell_slot[cell]] = cell
-    end, longest = 0, 0
-    listed = np.empty(_MOST_TOUCHED, np.int32)
+        cell_in[U(cell_slot[cell])] = cell
+    count = 0
     for window in range(len(rows)):
-        firsts[window] = end
-        count = 0
         place = 0
         while place < 8:
-            cell = cell_in[8 * window + place]
+            cell = cell_in[U(8 * window + place)]
             place += 1
             if cell < 0:
                 continue
             if window >= ghost_window:
                 for corner in range(8):
-                    count = list_one(listed, count, node_slot[corners[cell, corner]] >> 3)
+                    lane = node_lane[corners[cell, corner]]
+                    ranges[count, 0], ranges[count, 1], ranges[count, 2] = window, lane, lane
+                    count += 1
                 continue
             # Corners of cells that follow each other lie in as many lanes of four rows, and one more.
             low = place - 1
-            while place < 8 and cell_in[8 * window + place] >= 0:
+            while place < 8 and cell_in[U(8 * window + place)] >= 0:
                 place += 1
             for row in _CELL_ROWS:
-                lane = rows[window, row]
-                count = list_windows(lane + low, lane + place, starts, window_of, listed, count)
-        touches[end : end + count] = listed[:count]
-        end += count
-        longest = max(longest, count)
-    firsts[len(rows)] = end
-    return longest
+                lane = rows[U(window), U(row)]
+                ranges[U(count), U(0)] = window
+                ranges[U(count), U(1)], ranges[U(count), U(2)] = lane + low, lane + place
+                count += 1
+    return count
 
 
 @kernel
 def write_lists(numbers, firsts, lists):
     """Write lists that follow each other into the rows of an array, and then -1."""
+    flat, length = lists.ravel(), lists.shape[1]
     for row in range(len(lists)):
-        count = firsts[row + 1] - firsts[row]
-        for place in range(lists.shape[1]):
-            lists[row, place] = numbers[firsts[row] + place] if place < count else -1
+        start, count = firsts[row], firsts[row + 1] - firsts[row]
+        for place in range(count):
+            flat[U(row * length + place)] = numbers[U(start + place)]
+        for place in range(count, length):
+            flat[U(row * length + place)] = -1
 
 
 @kernel

@@ -10,10 +10,11 @@ from heartcase.schemas.arrays import Float32, Int32, Int64
 from heartcase.simulator.engine.shared.cell_kernels import (
     lay_out_cells,
     number_by_window,
+    ranges_touched,
     share_by_node_window,
-    touched_windows,
     write_lists,
 )
+from heartcase.simulator.engine.shared.lane_kernels import list_windows
 from heartcase.simulator.engine.shared.lanes import (
     CELL_NUMBERS,
     EMPTY_START,
@@ -129,10 +130,10 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     np.take(layout.window_rows, held[:held_count], axis=0, out=rows[:held_count])
     rows[held_count:, GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(GHOST_ROWS))
     cell_in, firsts = np.empty(LANE_COUNT * len(rows), np.int32), np.empty(len(rows) + 1, np.int64)
-    # Each cell of a window has eight corners, in a window each at most.
-    room = np.empty(8 * model.cell_count, np.int32)
-    windows = (rows, held_count, *layout.windows_by_lanes)
-    longest = touched_windows(corners, layout.node_slot, cell_slot, *windows, cell_in, room, firsts)
+    # Each cell has eight corners, in a window each at most.
+    ranges, room = np.empty((8 * model.cell_count, 3), np.int64), np.empty(8 * model.cell_count, np.int32)
+    count = ranges_touched(corners, layout.node_lane, cell_slot, rows, held_count, cell_in, ranges)
+    longest = list_windows(ranges[:count], *layout.windows_by_lanes, room, firsts)
     touches = np.empty((len(rows), max(8, longest)), np.int64)
     write_lists(room, firsts, touches)
     return CellLayout(

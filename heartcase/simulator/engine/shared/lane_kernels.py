@@ -11,21 +11,25 @@ import numpy as np
 from heartcase.compiling.kernel import kernel
 
 __all__ = [
+    "U",
     "bounds",
     "lay_out_nodes",
-    "list_one",
     "list_windows",
     "mark_blocks",
     "mark_over_springs",
     "node_in_lane",
     "number_blocks",
     "number_rows",
+    "ranges_behind",
     "rows_around",
     "rows_of_windows",
     "start_slots",
-    "windows_behind",
     "windows_by_lanes",
+    "write_behind",
 ]
+
+U = np.uint64
+"""A place as a number without a sign: kernels do not look whether it counts from the end, and are the quicker."""
 
 
 @kernel
@@ -99,11 +103,12 @@ def mark_blocks(node_index, row, layer, cells, corners, first_block, layer_block
     """
     flat, columns = is_stored.ravel(), is_stored.shape[1]
     for node in range(len(node_index)):
-        place = row[node] * columns + layer[node] * layer_blocks + (node_index[node, 0] >> 3) - first_block
-        block_of[node] = place
-        flat[place] = 1
+        block = (node_index[U(node), U(0)] >> 3) - first_block
+        place = row[U(node)] * columns + layer[U(node)] * layer_blocks + block
+        block_of[U(node)] = place
+        flat[U(place)] = 1
     for cell in range(len(cells)):
-        if cells[cell, 0] & 7 == 7:
+        if cells[U(cell), U(0)] & 7 == 7:
             for corner in range(8):
                 flat[block_of[corners[cell, corner]] + 1 - 2 * (corner & 1)] = 1
 
@@ -123,21 +128,21 @@ def mark_over_springs(node_index, spring_nodes, block_of, is_stored):
 @kernel
 def number_blocks(is_stored, number, counts):
     """Write the slot of each block that is stored, and how many follow each other in each run; returns both counts."""
-    block_count, run_count = 0, 0
-    for row in range(is_stored.shape[0]):
-        is_run = False
-        for column in range(is_stored.shape[1]):
-            number[row, column] = -1
-            if not is_stored[row, column]:
-                is_run = False
-                continue
-            if not is_run:
-                counts[run_count] = 0
-                run_count += 1
-            is_run = True
-            number[row, column] = block_count + run_count - 1
-            counts[run_count - 1] += 1
-            block_count += 1
+    block_count, run_count, place = 0, 0, 0
+    stored, slots = is_stored.ravel(), number.ravel()
+    for _ in range(is_stored.shape[0]):
+        length = 0
+        for _ in range(is_stored.shape[1]):
+            slots[U(place)] = -1
+            if stored[U(place)]:
+                run_count += length == 0
+                length += 1
+                slots[U(place)] = block_count + run_count - 1
+                counts[U(run_count - 1)] = length
+                block_count += 1
+            else:
+                length = 0
+            place += 1
     return block_count, run_count
 
 
@@ -178,20 +183,20 @@ def lay_out_nodes(node_index, block_of, number, start, node_in, node_lane, node_
     slots = number.ravel()
     node_in[:] = -1
     for node in range(len(node_index)):
-        node_in[8 * slots[block_of[node]] + (node_index[node, 0] & 7)] = node
+        node_in[U(8 * slots[U(block_of[U(node)])] + (node_index[U(node), U(0)] & 7))] = node
     count, end, place = 0, -1, 0
     for at in range(len(node_in)):
-        node = node_in[at]
+        node = node_in[U(at)]
         if node < 0:
             continue
-        lane = start[at >> 3] + (at & 7)
+        lane = start[U(at >> 3)] + (at & 7)
         if lane >= end:
-            first[count] = place
+            first[U(count)] = place
             count += 1
             end = lane + 8
-        node_lane[node] = lane
-        node_slot[node] = 8 * count + lane - end
-        by_lane[place] = node
+        node_lane[U(node)] = lane
+        node_slot[U(node)] = 8 * count + lane - end
+        by_lane[U(place)] = node
         place += 1
     first[count] = place
     return count
@@ -234,22 +239,8 @@ def rows_of_windows(around, nodes, node_index, first_block, number, start, node_
 @kernel(cached=False, inline="always")
 def node_in_lane(lane, slot_of, node_in):
     """Node in a lane, -1 where there is none."""
-    slot = slot_of[lane >> 3] - 1
-    return node_in[8 * slot + (lane & 7)] if slot >= 0 else -1
-
-
-@kernel(cached=False, inline="always")
-def list_one(listed, count, one):
-    """Insert a number among those that ascend, unless it is there; returns how many there are."""
-    place = count
-    while place > 0 and listed[place - 1] > one:
-        place -= 1
-    if place > 0 and listed[place - 1] == one:
-        return count
-    for other in range(count, place, -1):
-        listed[other] = listed[other - 1]
-    listed[place] = one
-    return count + 1
+    slot = slot_of[U(lane >> 3)] - 1
+    return node_in[U(8 * slot + (lane & 7))] if slot >= 0 else -1
 
 
 @kernel
@@ -266,24 +257,57 @@ def windows_by_lanes(window_rows, starts, window_of):
                 window_of[lane >> 3] = window + 1
 
 
-@kernel(cached=False, inline="always")
-def list_windows(low, high, starts, window_of, listed, count):
-    """Insert the windows that hold lanes from a low to a high one among those that are listed; returns how many."""
-    block = low >> 3
-    window = window_of[block] - 1
-    while window < 0 and 8 * block <= high:
-        block += 1
-        window = window_of[block] - 1
-    while 0 <= window < len(starts) and starts[window] <= high:
-        if starts[window] + 8 > low:
-            count = list_one(listed, count, window)
-        window += 1
-    return count
+@kernel
+def list_windows(ranges, starts, window_of, lists, firsts):
+    """List the windows that hold some lanes, ascending.
+
+    Parameters
+    ----------
+    ranges
+        Number of a list, the first of some lanes and the last, by the list, shape (any, 3).
+    starts, window_of
+        As of :func:`windows_by_lanes`.
+    lists, firsts
+        Room for the lists, one after the other, and for where they begin and the last ends, shape (list_count + 1,);
+        written.
+
+    Returns
+    -------
+    int
+        Length of the longest list.
+    """
+    window_count = len(starts)
+    end, begin, longest, number = 0, 0, 0, -1
+    for place in range(len(ranges)):
+        which, low, high = ranges[U(place), U(0)], ranges[U(place), U(1)], ranges[U(place), U(2)]
+        if which > number:
+            longest, begin = max(longest, end - begin), end
+            while number < which:
+                number += 1
+                firsts[U(number)] = end
+        block = low >> 3
+        window = window_of[U(block)] - 1
+        while window < 0 and 8 * block <= high:
+            block += 1
+            window = window_of[U(block)] - 1
+        while 0 <= window < window_count and starts[U(window)] <= high:
+            if starts[U(window)] + 8 > low:
+                at = end
+                while at > begin and lists[U(at - 1)] > window:
+                    at -= 1
+                if at == begin or lists[U(at - 1)] != window:
+                    for other in range(end, at, -1):
+                        lists[U(other)] = lists[U(other - 1)]
+                    lists[U(at)] = window
+                    end += 1
+            window += 1
+    firsts[number + 1 :] = end
+    return max(longest, end - begin)
 
 
 @kernel
-def windows_behind(window_rows, offsets, starts, window_of, behind, firsts):
-    """List the windows with the other ends of the springs behind each window's lanes, descending.
+def ranges_behind(window_rows, offsets, ranges):
+    """Write the lanes with the other ends of the springs behind each window's, for :func:`list_windows`.
 
     Parameters
     ----------
@@ -291,20 +315,17 @@ def windows_behind(window_rows, offsets, starts, window_of, behind, firsts):
         Shape (window_count, 9).
     offsets
         Vector of each direction, shape (9, 3).
-    starts, window_of
-        As of :func:`windows_by_lanes`.
-    behind, firsts
-        Room for the lists, one after the other, shape (2 * 9 * window_count,), and for where they begin and the last
-        ends; written. A window's lanes behind along a direction lie in two windows at most.
+    ranges
+        Shape (9 * window_count, 3); written.
 
     Returns
     -------
     int
-        Length of the longest list.
+        How many are written: directions whose other ends lie in one row share theirs.
     """
-    # Directions whose other ends lie in one row share its lanes; from the farthest row behind on.
     rows, lows, highs = np.empty(9, np.int64), np.empty(9, np.int64), np.empty(9, np.int64)
     row_count = 0
+    # From the farthest row behind on, so that windows mostly come in the order of their numbers.
     for direction in range(len(offsets) - 1, -1, -1):
         row, i = 4 - offsets[direction, 1] - 3 * offsets[direction, 2], offsets[direction, 0]
         if row_count == 0 or rows[row_count - 1] != row:
@@ -312,20 +333,24 @@ def windows_behind(window_rows, offsets, starts, window_of, behind, firsts):
             row_count += 1
         lows[row_count - 1] = min(lows[row_count - 1], -i)
         highs[row_count - 1] = max(highs[row_count - 1], 7 - i)
-    listed = np.empty(2 * len(offsets) + 1, np.int32)
-    end, longest = 0, 0
+    count = 0
     for window in range(len(window_rows)):
-        firsts[window] = end
-        count = 0
         for which in range(row_count):
-            lane = window_rows[window, rows[which]]
-            count = list_windows(lane + lows[which], lane + highs[which], starts, window_of, listed, count)
-        kept = 0
-        for place in range(count - 1, -1, -1):
-            if listed[place] != window:
-                behind[end + kept] = listed[place]
-                kept += 1
-        end += kept
-        longest = max(longest, kept)
-    firsts[len(window_rows)] = end
-    return longest
+            lane = window_rows[U(window), U(rows[U(which)])]
+            ranges[U(count), U(0)] = window
+            ranges[U(count), U(1)], ranges[U(count), U(2)] = lane + lows[U(which)], lane + highs[U(which)]
+            count += 1
+    return count
+
+
+@kernel
+def write_behind(lists, firsts, behind):
+    """Write ascending lists into the rows of an array, descending, without a row's own number, and then -1."""
+    flat, length = behind.ravel(), behind.shape[1]
+    for row in range(len(behind)):
+        at = row * length
+        for place in range(firsts[U(row + 1)] - 1, firsts[U(row)] - 1, -1):
+            if lists[U(place)] != row:
+                flat[U(at)] = lists[U(place)]
+                at += 1
+        flat[at : (row + 1) * length] = -1

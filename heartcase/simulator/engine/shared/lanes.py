@@ -38,7 +38,7 @@ from heartcase.simulator.engine.shared.rows import numbered_rows
 from heartcase.simulator.engine.shared.spring_kernels import (
     copy_from_windows,
     find_irregular,
-    first_springs,
+    leave_out,
     weigh_windows,
 )
 from heartcase.simulator.lattice.explicit_springs import SpringsByNode
@@ -159,18 +159,23 @@ class LaneLayout:
         lanes: Int64 = self.window_rows[slot // LANE_COUNT, (j + 1) + 3 * (k + 1)] + slot % LANE_COUNT + i
         return lanes
 
-    def irregular_springs(self, model: LatticeModel) -> Int64:
-        """Springs of a model of these nodes whose ends do not lie at fixed distances, ascending, shape (any,)."""
+    def irregular_springs(self, model: LatticeModel, first: Int32 | None = None) -> Int64:
+        """Springs of a model of these nodes whose ends do not lie at fixed distances, ascending, shape (any,).
+
+        Where the springs from each node begin, and the last end, shape (node_count + 1,), may be given.
+        """
         if not len(self.near_cells):
             return np.zeros(0, np.int64)
-        if not self._known or self._known[0][0] is not model.spring_nodes:
-            lanes = (self.node_lane, self.node_slot, self.window_rows, self.slots.slot_of, self.slots.node_in)
-            first = np.empty(model.node_count + 1, np.int32)
-            first_springs(model.spring_nodes, first)
-            springs = (model.spring_nodes, model.spring_direction, first)
+        # Of engines that share a layout, one may be asked in another thread meanwhile.
+        known = self._known[0] if self._known else None
+        if known is None or known[0] is not model.spring_nodes:
+            starts = model.first_springs.astype(np.int32) if first is None else first
+            springs = (model.spring_nodes, model.spring_direction, starts)
             near = (model.cell_corners, self.near_cells, self.is_near_copies)
-            self._known[:] = [(model.spring_nodes, find_irregular(*springs, *near, *lanes))]
-        return self._known[0][1]
+            lanes = (self.node_lane, self.node_slot, self.window_rows, self.slots.slot_of, self.slots.node_in)
+            known = (model.spring_nodes, find_irregular(*springs, *near, *lanes))
+            self._known[:] = [known]
+        return known[1]
 
     @cached_property
     def _known(self) -> list[tuple[Int32, Int64]]:
@@ -214,8 +219,13 @@ class LaneLayout:
             Numbers of each window's lanes by themselves, shape (any, 9 or more, 8), of which the first nine are
             written where there is a spring that is not irregular.
         """
-        springs = (model.spring_nodes, model.spring_direction, values, scale, self.irregular_springs(model))
-        return bool(weigh_windows(*springs, self.node_slot, numbers))
+        springs = (model.spring_nodes, model.spring_direction, values, scale)
+        first = np.empty(model.node_count + 1, np.int32)
+        acts = bool(weigh_windows(*springs, self.node_slot, numbers, first))
+        irregular = self.irregular_springs(model, first)
+        if len(irregular):
+            leave_out(*springs, irregular, first, self.node_slot, numbers)
+        return acts
 
     def uniform_weight(self, model: LatticeModel) -> Float32:
         """Stiffness of all springs of a window's nodes, where each has 18 and all are alike, else 0 [k].

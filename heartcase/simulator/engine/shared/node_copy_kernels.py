@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.engine.shared.lane_kernels import node_in_lane
+from heartcase.simulator.engine.shared.lane_kernels import U, node_in_lane
 
 __all__ = [
     "find_irregular_cells",
@@ -40,7 +40,7 @@ def mark_copied_rows(node_index, row, low_i, length, is_copied):
     return found
 
 
-@kernel(cached=False, inline="always")
+@kernel(cached=False)
 def _find_in_list(first, following, numbers, count, which, number):
     """Entry of a number in one of some lists that ascend: the next of all where it was none, and now is."""
     before, here = -1, first[which]
@@ -53,17 +53,6 @@ def _find_in_list(first, following, numbers, count, which, number):
         first[which] = count
     else:
         following[before] = count
-    return count
-
-
-@kernel(cached=False, inline="always")
-def _count_in_list(first, following, numbers, weights, count, which, number):
-    """Count a number in one of some lists; returns how many entries all have."""
-    entry = _find_in_list(first, following, numbers, count, which, number)
-    if entry == count:
-        weights[entry] = 0
-        count += 1
-    weights[entry] += 1
     return count
 
 
@@ -85,8 +74,15 @@ def _find_paths(corners, row, is_copied, path):
     for cell in range(len(corners)):
         for edge in range(4):
             lower, higher = corners[cell, 2 * edge], corners[cell, 2 * edge + 1]
-            if is_copied[row[lower]]:
-                count = _count_in_list(first, following, numbers, weights, count, lower, higher)
+            if not is_copied[row[lower]]:
+                continue
+            entry = first[lower]
+            if entry < 0 or numbers[entry] != higher:
+                entry = _find_in_list(first, following, numbers, count, lower, higher)
+            if entry == count:
+                weights[entry] = 0
+                count += 1
+            weights[entry] += 1
     most = 0
     for entry in range(count):
         most = max(most, weights[entry])
@@ -130,18 +126,29 @@ def _couple(corners, row, path, starts, low, high, row_count):
     room = 24 * len(corners)
     first = np.full(path_count + row_count, -1, np.int32)
     following, sides, weights = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
-    element = np.empty(8, np.int64)
+    element, lasts, middles = np.empty(8, np.int64), np.full(64, -1, np.int64), np.empty(64, np.int64)
     count = 0
     for cell in range(len(corners)):
         for corner in range(8):
-            node = corners[cell, corner]
-            element[corner] = path[node] if path[node] >= 0 else path_count + row[node]
+            node = U(corners[U(cell), U(corner)])
+            element[U(corner)] = path[node] if path[node] >= 0 else path_count + row[node]
         for corner in range(8):
-            if element[corner] >= path_count:
+            if element[U(corner)] >= path_count:
                 continue
+            side = element[U(corner)]
             for other in range(corner & 1, 8, 2):
-                if other != corner:
-                    count = _count_in_list(first, following, sides, weights, count, element[other], element[corner])
+                if other == corner:
+                    continue
+                middle, pair = element[U(other)], U(8 * corner + other)
+                # Cells follow each other along rows: mostly it is the pair of the cell before.
+                entry = lasts[pair]
+                if entry < 0 or middles[pair] != middle or sides[entry] != side:
+                    entry = _find_in_list(first, following, sides, count, middle, side)
+                    if entry == count:
+                        weights[entry] = 0
+                        count += 1
+                    lasts[pair], middles[pair] = entry, middle
+                weights[entry] += 1
     couple_count = 0
     for middle in range(len(first)):
         one = first[middle]
@@ -226,8 +233,9 @@ def _around_copied_rows(corners, row, is_copied):
     found, count = np.empty((len(corners), 8), np.int32), 0
     for cell in range(len(corners)):
         for edge in range(4):
-            if is_copied[row[corners[cell, 2 * edge]]]:
-                found[count] = corners[cell]
+            if is_copied[U(row[U(corners[U(cell), U(2 * edge)])])]:
+                for corner in range(8):
+                    found[U(count), U(corner)] = corners[U(cell), U(corner)]
                 count += 1
                 break
     return found[:count]
@@ -293,8 +301,9 @@ def find_near_windows(around, is_copied, by_lane, first, window_rows, is_near):
     windows, count = np.empty(len(around), np.int64), 0
     for window in range(len(around)):
         is_beside = False
-        for row in around[window]:
-            is_beside = is_beside or (row >= 0 and is_copied[row])
+        for which in range(9):
+            row = around[U(window), U(which)]
+            is_beside = is_beside or (row >= 0 and is_copied[U(row)])
         if not is_beside:
             continue
         windows[count] = window
@@ -314,8 +323,8 @@ def find_near_cells(corners, is_near):
     count = 0
     for cell in range(len(corners)):
         for corner in range(8):
-            if is_near[corners[cell, corner]]:
-                cells[count], is_among[cell] = cell, True
+            if is_near[U(corners[U(cell), U(corner)])]:
+                cells[U(count)], is_among[U(cell)] = cell, True
                 count += 1
                 break
     return cells[:count].copy(), is_among
@@ -357,25 +366,27 @@ def vote(corners, near_cells, is_near, node_lane, node_slot, by_lane, first, win
     counts = np.empty(9, np.int64)
     for window in windows:
         counts[:] = 0
-        for node in by_lane[first[window] : first[window + 1]]:
-            for at in around[starts[node] : starts[node + 1]]:
-                cell, own = at >> 3, at & 7
+        for which in range(first[window], first[window + 1]):
+            node = by_lane[U(which)]
+            for at in range(starts[node], starts[node + 1]):
+                cell, own = around[U(at)] >> 3, around[U(at)] & 7
                 for corner in range(8):
                     if corner >> 1 == own >> 1:
                         continue
                     row = 4 + (corner >> 1 & 1) - (own >> 1 & 1) + 3 * ((corner >> 2) - (own >> 2))
-                    lane = node_lane[corners[cell, corner]] - (corner & 1) + (own & 1) - (node_slot[node] & 7)
+                    other = U(corners[U(cell), U(corner)])
+                    lane = node_lane[other] - (corner & 1) + (own & 1) - (node_slot[U(node)] & 7)
                     if lane < 8 or lane > lane_count - 16:
                         continue
                     place = 0
-                    while place < counts[row] and lanes[row, place] != lane:
+                    while place < counts[U(row)] and lanes[U(row), U(place)] != lane:
                         place += 1
                     if place == _CANDIDATES:
                         continue
-                    if place == counts[row]:
-                        lanes[row, place], votes[row, place] = lane, 0
-                        counts[row] += 1
-                    votes[row, place] += 1
+                    if place == counts[U(row)]:
+                        lanes[U(row), U(place)], votes[U(row), U(place)] = lane, 0
+                        counts[U(row)] += 1
+                    votes[U(row), U(place)] += 1
         for row in range(9):
             best = 0
             for place in range(counts[row]):
@@ -400,22 +411,23 @@ def find_irregular_cells(
     """
     irregular = np.zeros(len(corners), np.bool_)
     for cell in near_cells:
-        lowest = corners[cell, 0]
+        lowest = U(corners[cell, 0])
         start, place = node_slot[lowest] >> 3, node_slot[lowest] & 7
         for corner in range(8):
-            node, i, row = corners[cell, corner], corner & 1, (corner >> 1 & 1) + 3 * (corner >> 2)
-            there = window_rows[start, 4 + row] + place + i
-            back = window_rows[node_slot[node] >> 3, 4 - row] + (node_slot[node] & 7) - i
+            node, i, row = U(corners[U(cell), U(corner)]), corner & 1, (corner >> 1 & 1) + 3 * (corner >> 2)
+            there = window_rows[U(start), U(4 + row)] + place + i
+            back = window_rows[U(node_slot[node] >> 3), U(4 - row)] + (node_slot[node] & 7) - i
             if there != node_lane[node] or back != node_lane[lowest]:
                 irregular[cell] = True
     # Of cells with one lowest node, the first keeps its lane.
     cell_of = np.full(len(node_lane), -1, np.int32)
     for cell in range(len(corners)):
-        if not irregular[cell]:
-            if is_near_cell[cell] and cell_of[corners[cell, 0]] >= 0:
-                irregular[cell] = True
+        if not irregular[U(cell)]:
+            lowest = U(corners[U(cell), U(0)])
+            if is_near_cell[U(cell)] and cell_of[lowest] >= 0:
+                irregular[U(cell)] = True
             else:
-                cell_of[corners[cell, 0]] = cell
+                cell_of[lowest] = cell
     for node in range(len(node_lane)):
         if not is_near[node]:
             continue

@@ -8,22 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.engine.shared.lane_kernels import node_in_lane
+from heartcase.simulator.engine.shared.lane_kernels import U, node_in_lane
 from heartcase.simulator.lattice.model import DIRECTIONS
 
-__all__ = ["copy_from_windows", "find_irregular", "first_springs", "weigh_windows"]
-
-
-@kernel
-def first_springs(spring_nodes, first):
-    """Write where the springs from each node begin, and the last end, shape (node_count + 1,)."""
-    last = -1
-    for spring in range(len(spring_nodes)):
-        lower = spring_nodes[spring, 0]
-        while last < lower:
-            last += 1
-            first[last] = spring
-    first[last + 1 :] = len(spring_nodes)
+__all__ = ["copy_from_windows", "find_irregular", "leave_out", "weigh_windows"]
 
 
 @kernel
@@ -35,12 +23,14 @@ def find_irregular(
     Parameters
     ----------
     spring_nodes, directions, first
-        Ends and direction of each spring, and as of :func:`first_springs`.
+        Ends and direction of each spring, and as of :func:`weigh_windows`.
     corners, near_cells
         Nodes of the cells, and the cells near copies.
     is_near, node_lane, node_slot, window_rows, slot_of, node_in
         As of :class:`heartcase.simulator.engine.shared.lanes.LaneLayout`.
     """
+    offsets = np.empty((len(DIRECTIONS), 2), np.int64)
+    offsets[:, 0], offsets[:, 1] = DIRECTIONS[:, 0], DIRECTIONS[:, 1] + 3 * DIRECTIONS[:, 2]
     irregular = np.zeros(len(spring_nodes), np.bool_)
     found, count = np.empty(len(spring_nodes), np.int64), 0
     # Node that a spring leads to from each node beside these along each direction, where it is found at both ends.
@@ -49,34 +39,35 @@ def find_irregular(
     is_beside = np.zeros(len(is_near), np.bool_)
     for cell in near_cells:
         for corner in range(8):
-            is_beside[corners[cell, corner]] = True
+            is_beside[U(corners[U(cell), U(corner)])] = True
     for lower in range(len(is_beside)):
         if not is_beside[lower]:
             continue
         slot, is_near_lower = node_slot[lower], is_near[lower]
         fitting[lower] = -1
         for spring in range(first[lower], first[lower + 1]):
-            higher, direction = spring_nodes[spring, 1], directions[spring]
+            higher, direction = U(spring_nodes[U(spring), 1]), U(directions[U(spring)])
             if not (is_near_lower or is_near[higher]):
                 continue
-            i, row = DIRECTIONS[direction, 0], DIRECTIONS[direction, 1] + 3 * DIRECTIONS[direction, 2]
-            there = window_rows[slot >> 3, 4 + row] + (slot & 7) + i
-            back = window_rows[node_slot[higher] >> 3, 4 - row] + (node_slot[higher] & 7) - i
+            i, row = offsets[direction, U(0)], offsets[direction, U(1)]
+            there = window_rows[U(slot >> 3), U(4 + row)] + (slot & 7) + i
+            back = window_rows[U(node_slot[higher] >> 3), U(4 - row)] + (node_slot[higher] & 7) - i
             if there != node_lane[higher] or back != node_lane[lower]:
-                irregular[spring] = True
-                found[count] = spring
+                irregular[U(spring)] = True
+                found[U(count)] = spring
                 count += 1
             else:
-                fitting[lower, direction] = higher
+                fitting[U(lower), direction] = higher
     for node in range(len(is_near)):
         if not is_near[node]:
             continue
         slot = node_slot[node]
         for direction in range(len(DIRECTIONS)):
-            i, row = DIRECTIONS[direction, 0], DIRECTIONS[direction, 1] + 3 * DIRECTIONS[direction, 2]
-            behind = node_in_lane(window_rows[slot >> 3, 4 - row] + (slot & 7) - i, slot_of, node_in)
+            i, row = offsets[U(direction), U(0)], offsets[U(direction), U(1)]
+            lane = window_rows[U(slot >> 3), U(4 - row)] + (slot & 7) - i
+            behind = node_in_lane(lane, slot_of, node_in)
             # Of the springs that are found at both ends one at most leads from a node along a direction.
-            if behind < 0 or (is_beside[behind] and fitting[behind, direction] == node):
+            if behind < 0 or (is_beside[U(behind)] and fitting[U(behind), U(direction)] == node):
                 continue
             for spring in range(first[behind], first[behind + 1]):
                 if directions[spring] == direction and spring_nodes[spring, 1] != node and not irregular[spring]:
@@ -87,17 +78,19 @@ def find_irregular(
 
 
 @kernel
-def weigh_windows(spring_nodes, directions, values, scale, irregular, node_slot, numbers):
-    """Write values of the springs that are not irregular, times a number, by the window of their lower node.
+def weigh_windows(spring_nodes, directions, values, scale, node_slot, numbers, first):
+    """Write values of the springs, times a number, by the window of their lower node.
 
     Parameters
     ----------
-    spring_nodes, directions, values, scale, irregular
-        Of the springs; and which are irregular, ascending.
+    spring_nodes, directions, values, scale
+        Of the springs.
     node_slot
         Number of each node's window times 8 plus its place there.
     numbers
         Nine or more numbers of each window's lanes, shape (any, any, 8); written at the springs' directions.
+    first
+        Where the springs from each node begin, and the last end, shape (node_count + 1,); written.
 
     Returns
     -------
@@ -107,31 +100,39 @@ def weigh_windows(spring_nodes, directions, values, scale, irregular, node_slot,
     flat, place = numbers.ravel(), np.empty(len(node_slot), np.uint32)
     for node in range(len(node_slot)):
         place[node] = (node_slot[node] >> 3) * numbers.shape[1] * 8 + (node_slot[node] & 7)
-    acts = False
+    acts, last = False, -1
     # Numbers without a sign are not looked at for counting from the end.
     for spring in range(len(spring_nodes)):
-        value = values[spring] * scale
+        value, lower = values[spring] * scale, spring_nodes[spring, 0]
         acts |= value != 0
-        flat[np.uint64(place[np.uint32(spring_nodes[spring, 0])]) + np.uint64(8) * np.uint64(directions[spring])] = (
-            value
-        )
+        flat[np.uint64(place[np.uint32(lower)]) + np.uint64(8) * np.uint64(directions[spring])] = value
+        while last < lower:
+            last += 1
+            first[np.uint64(last)] = spring
+    first[last + 1 :] = len(spring_nodes)
+    return acts
+
+
+@kernel
+def leave_out(spring_nodes, directions, values, scale, irregular, first, node_slot, numbers):
+    """Write zeros for springs that are irregular, but what another has that leads from the same node the same way.
+
+    Parameters are those of :func:`weigh_windows`; ``irregular``: which are, ascending.
+    """
     for spring in irregular:
-        flat[place[spring_nodes[spring, 0]] + 8 * directions[spring]] = 0
-    # One that is not irregular may lead along the same direction.
+        slot = node_slot[spring_nodes[spring, 0]]
+        numbers[slot >> 3, directions[spring], slot & 7] = 0
     for number in range(len(irregular)):
         spring = irregular[number]
-        for way in (-1, 1):
-            other, at = spring + way, number + way
-            while 0 <= other < len(spring_nodes):
-                if spring_nodes[other, 0] != spring_nodes[spring, 0] or directions[other] != directions[spring]:
-                    break
-                if 0 <= at < len(irregular) and irregular[at] == other:
-                    at += way
-                else:
-                    value = values[other] * scale
-                    flat[place[spring_nodes[other, 0]] + 8 * directions[other]] = value
-                other += way
-    return acts
+        lower = spring_nodes[spring, 0]
+        if number and spring_nodes[irregular[number - 1], 0] == lower:
+            continue
+        slot, at = node_slot[lower], number
+        for other in range(first[lower], first[lower + 1]):
+            if at < len(irregular) and irregular[at] == other:
+                at += 1
+            else:
+                numbers[slot >> 3, directions[other], slot & 7] = values[other] * scale
 
 
 @kernel
