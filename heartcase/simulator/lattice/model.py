@@ -198,10 +198,10 @@ class LatticeModel:
         around each of its free corners: slivers are turned back against their neighbours' springs, and as the corners'
         masses are such means too, none is the quicker for it.
         """
-        scale = np.empty(self.cell_count)
-        own = self.cell_coverage * self.cell_stiffness
-        _least_means(self.cell_corners, own.astype(np.float64), self.node_is_fixed, scale)
-        return np.where(self.cell_is_whole, self.law.corner_stiffness * scale, 0.0).astype(np.float32)
+        own, scale = self.cell_coverage * self.cell_stiffness, np.empty(self.cell_count, np.float32)
+        stiffness = float(self.law.corner_stiffness)
+        _guard_scale(self.cell_corners, own, self.node_is_fixed, self.cell_is_whole, stiffness, scale)
+        return scale
 
     @property
     def spring_offset(self) -> Int32:
@@ -363,25 +363,31 @@ def make_model(
 
 
 @kernel
-def _least_means(corners: Int32, own: Float64, is_fixed: Bool, scale: Float64) -> None:
-    """Write a number of each cell or, if more, the least of the means around its free corners."""
+def _guard_scale(
+    corners: Int32, own: Float32, is_fixed: Bool, is_whole: Bool, stiffness: float, scale: Float32
+) -> None:
+    """Write a stiffness times a number of each cell or, if more, the least of the means around its free corners.
+
+    Zero for cells that are not whole.
+    """
     # Numbers without a sign are not looked at for counting from the end.
     mean, count = np.zeros(len(is_fixed)), np.zeros(len(is_fixed))
     for cell in range(len(corners)):
         for corner in range(8):
-            node = np.uint32(corners[cell, corner])
+            node = np.uint32(corners[np.uint32(cell), np.uint32(corner)])
             mean[node] += own[cell]
             count[node] += 1.0
-    for node in range(len(is_fixed)):
-        if is_fixed[node]:
-            mean[node] = np.inf
-        elif mean[node] > 0.0:
-            mean[node] /= count[node]
+    for place in range(len(is_fixed)):
+        if is_fixed[place]:
+            mean[place] = np.inf
+        elif mean[place] > 0.0:
+            mean[place] /= count[place]
     for cell in range(len(corners)):
         least = np.inf
         for corner in range(8):
-            least = min(least, mean[np.uint32(corners[cell, corner])])
-        scale[cell] = max(own[cell], least) if least < np.inf else own[cell]
+            least = min(least, mean[np.uint32(corners[np.uint32(cell), np.uint32(corner)])])
+        most = max(np.float64(own[cell]), least) if least < np.inf else np.float64(own[cell])
+        scale[cell] = stiffness * most if is_whole[cell] else 0.0
 
 
 def _shares(law: ForceLaw, cells: Int32, corners: Int32, coverage: Float32, moments: Float32) -> Float32:

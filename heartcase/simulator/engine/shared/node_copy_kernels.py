@@ -414,10 +414,10 @@ def find_irregular_cells(
         lowest = U(corners[cell, 0])
         start, place = node_slot[lowest] >> 3, node_slot[lowest] & 7
         for corner in range(8):
-            node, i, row = U(corners[U(cell), U(corner)]), corner & 1, (corner >> 1 & 1) + 3 * (corner >> 2)
+            other, i, row = U(corners[U(cell), U(corner)]), corner & 1, (corner >> 1 & 1) + 3 * (corner >> 2)
             there = window_rows[U(start), U(4 + row)] + place + i
-            back = window_rows[U(node_slot[node] >> 3), U(4 - row)] + (node_slot[node] & 7) - i
-            if there != node_lane[node] or back != node_lane[lowest]:
+            back = window_rows[U(node_slot[other] >> 3), U(4 - row)] + (node_slot[other] & 7) - i
+            if there != node_lane[other] or back != node_lane[lowest]:
                 irregular[cell] = True
     # Of cells with one lowest node, the first keeps its lane.
     cell_of = np.full(len(node_lane), -1, np.int32)

@@ -46,10 +46,10 @@ def find_irregular(
         slot, is_near_lower = node_slot[lower], is_near[lower]
         fitting[lower] = -1
         for spring in range(first[lower], first[lower + 1]):
-            higher, direction = U(spring_nodes[U(spring), 1]), U(directions[U(spring)])
+            higher, way = U(spring_nodes[U(spring), 1]), U(directions[U(spring)])
             if not (is_near_lower or is_near[higher]):
                 continue
-            i, row = offsets[direction, U(0)], offsets[direction, U(1)]
+            i, row = offsets[way, U(0)], offsets[way, U(1)]
             there = window_rows[U(slot >> 3), U(4 + row)] + (slot & 7) + i
             back = window_rows[U(node_slot[higher] >> 3), U(4 - row)] + (node_slot[higher] & 7) - i
             if there != node_lane[higher] or back != node_lane[lower]:
@@ -57,7 +57,7 @@ def find_irregular(
                 found[U(count)] = spring
                 count += 1
             else:
-                fitting[U(lower), direction] = higher
+                fitting[U(lower), way] = higher
     for node in range(len(is_near)):
         if not is_near[node]:
             continue
@@ -99,17 +99,16 @@ def weigh_windows(spring_nodes, directions, values, scale, node_slot, numbers, f
     """
     flat, place = numbers.ravel(), np.empty(len(node_slot), np.uint32)
     for node in range(len(node_slot)):
-        place[node] = (node_slot[node] >> 3) * numbers.shape[1] * 8 + (node_slot[node] & 7)
-    acts, last = False, -1
-    # Numbers without a sign are not looked at for counting from the end.
+        place[U(node)] = (node_slot[U(node)] >> 3) * numbers.shape[1] * 8 + (node_slot[node] & 7)
+    acts = False
+    first[:] = 0
     for spring in range(len(spring_nodes)):
-        value, lower = values[spring] * scale, spring_nodes[spring, 0]
+        value, lower = values[spring] * scale, U(spring_nodes[spring, 0])
         acts |= value != 0
-        flat[np.uint64(place[np.uint32(lower)]) + np.uint64(8) * np.uint64(directions[spring])] = value
-        while last < lower:
-            last += 1
-            first[np.uint64(last)] = spring
-    first[last + 1 :] = len(spring_nodes)
+        flat[U(place[lower]) + U(8) * U(directions[spring])] = value
+        first[lower + U(1)] = spring + 1
+    for node in range(len(node_slot)):
+        first[node + 1] = max(first[node], first[node + 1])
     return acts
 
 
