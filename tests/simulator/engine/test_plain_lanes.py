@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from unittest.mock import patch
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cpu import sleep
 from heartcase.simulator.engine.cpu.chunks import behind_windows
 from heartcase.simulator.engine.cpu.engine import CpuEngine
@@ -19,6 +20,7 @@ from heartcase.simulator.engine.shared.lanes import lane_layout
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.loose_nodes import with_loose_nodes
 from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.state import State
 from tests.simulator.engine.plain_lanes import (
     plain_by_node_window,
     plain_by_window,
@@ -33,7 +35,7 @@ from tests.simulator.engine.plain_lanes import (
     plain_window_numbers,
     plain_windows_behind,
 )
-from tests.simulator.lattices import block, cut_models, random_models, tied
+from tests.simulator.lattices import block, cut_models, random_field, random_models, tied
 
 LAWS = st.sampled_from([ForceLaw(), ForceLaw("springs", 0.4), ForceLaw("element")])
 
@@ -114,6 +116,39 @@ def test_what_is_looked_up_in_a_table_is_as_what_is_searched(model):
         assert_same_array(getattr(quick, name), getattr(searched, name), name)
     for one, other in zip(quick_blocks, blocks, strict=True):
         assert_same_array(one, other, "blocks")
+
+
+@settings(max_examples=25, deadline=None)
+@given(cut_models(size_max=(20, 5, 4)), st.integers(0, 2**32 - 1))
+def test_an_engine_that_goes_on_with_a_layout_steps_as_one_made_anew(model, seed):
+    """Another lattice of the same nodes and cells has the layout of the one before, whatever its cells weigh."""
+    before = CpuEngine(model)
+    coverage = np.random.default_rng(seed).uniform(0.1, 1.0, model.cell_count).astype(np.float32)
+    further = replace(model, node_index=model.node_index.copy(), cell_coverage=coverage, node_mass=2 * model.node_mass)
+    engine, anew = CpuEngine(further, before), CpuEngine(further)
+    assert engine.layout is before.layout
+    assert_same_array(engine.window_numbers, anew.window_numbers, "window numbers")
+    assert_same_array(engine._cell_arrays.numbers, anew._cell_arrays.numbers, "cells")
+    start = State(random_field(model, seed, 0.1), random_field(model, seed + 1, 0.01))
+    ends = []
+    for each in (engine, anew):
+        each.load(start)
+        before.advance(2, Verlet(0.1, 0.05))
+        each.advance(10, Verlet(0.1, 0.05))
+        ends.append(each.read().displacement.tobytes() + each.read().velocity.tobytes())
+    assert ends[0] == ends[1]
+
+
+def test_a_layout_is_not_gone_on_with_where_nodes_or_springs_differ():
+    model = block(9, 3, 3)
+    before = CpuEngine(model)
+    cut = model.without_springs(np.arange(model.spring_count) % 7 == 0)
+    moved = replace(model, node_index=model.node_index + 1, cells=model.cells + 1)
+    for other in (cut, moved, block(9, 3, 4)):
+        engine = CpuEngine(other, before)
+        assert engine.layout is not before.layout
+        assert_same_array(engine.layout.window_rows, CpuEngine(other).layout.window_rows, "rows")
+    assert CpuEngine(cut, CpuEngine(cut)).layout.lane_count == CpuEngine(cut).layout.lane_count
 
 
 @pytest.mark.parametrize("far", [100_000, 1_000_000])
