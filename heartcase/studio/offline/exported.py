@@ -6,14 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from heartcase.cli.shared.recorded_film import check_frame_count, frame_steps
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recording.reader import Recording, open_recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
-from heartcase.simulator.session.replay import load_session, refuse_deviation
+from heartcase.simulator.session.replay import check_frame_count, frame_steps, load_session, refuse_deviation
 from heartcase.simulator.session.stored import lattice_sha256
 
 if TYPE_CHECKING:
