@@ -15,14 +15,13 @@ from typing import Any
 
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.recording.reader import open_recording
-from heartcase.simulator.session.replay import FRAMES_MAX
 from heartcase.studio.messages import told
-from heartcase.studio.offline.exported import page_of
-from heartcase.studio.offline.web_page import FRAMES_PER_SECOND
 from heartcase.studio.operating.ending import problems_at
 
-__all__ = ["SavedPage"]
+__all__ = ["PageOf", "SavedPage"]
+
+PageOf = Callable[[Path, Sequence[Path]], tuple[bytes, list[str]]]
+"""Makes the file of a case and its recordings, and says what is wrong with it; a process beside must find it."""
 
 _ENDED = "what saves the page has ended: save it again"
 _NICE = 10
@@ -38,12 +37,14 @@ class SavedPage:
         The case's folder.
     out
         Folder of its recordings; the page is put there too.
+    page_of
+        Makes the file.
     heard
         Called by a thread when there is something new.
     """
 
-    def __init__(self, case: Path, out: Path, heard: Callable[[], None]) -> None:
-        self._case, self._out, self._heard = case, out, heard
+    def __init__(self, case: Path, out: Path, page_of: PageOf, heard: Callable[[], None]) -> None:
+        self._case, self._out, self._page_of, self._heard = case, out, page_of, heard
         self._facts: dict[str, Any] = {}
         self._process: Any = None
         self._thread: threading.Thread | None = None
@@ -56,10 +57,9 @@ class SavedPage:
         context = multiprocessing.get_context("spawn")
         line, its_line = context.Pipe()
         path = self._free_name()
-        recordings = [str(self._out / name) for name in dict.fromkeys(names)]
-        self._process = context.Process(
-            target=_save, args=(its_line, str(self._case), recordings, str(path)), daemon=True, name="heartcase-page"
-        )
+        recordings = [self._out / name for name in dict.fromkeys(names)]
+        order = (its_line, self._page_of, self._case, recordings, path)
+        self._process = context.Process(target=_save, args=order, daemon=True, name="heartcase-page")
         self._process.start()
         its_line.close()
         self._tell(state="working")
@@ -109,7 +109,7 @@ class SavedPage:
         self._heard()
 
 
-def _save(line: Connection, case: str, recordings: list[str], path: str) -> None:
+def _save(line: Connection, page_of: PageOf, case: Path, recordings: list[Path], path: Path) -> None:
     """The process: write the file, and answer with its size in bytes, 0 where there is none, and what is wrong."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):
@@ -117,14 +117,11 @@ def _save(line: Connection, case: str, recordings: list[str], path: str) -> None
             os.nice(_NICE)
     with contextlib.suppress(OSError):
         try:
-            found = [Path(one) for one in recordings]
-            longest = max((open_recording(one).seconds for one in found), default=0.0)
-            rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / max(longest, 1.0))
-            content, warnings = page_of(Path(case), found, level=0, frames_per_second=rate)
-            atomic_write(Path(path), content)
+            content, warnings = page_of(case, recordings)
+            atomic_write(path, content)
             line.send((len(content), [{"place": "", "message": warning} for warning in warnings]))
         except OSError as error:
             problem = Problem("page", f"it cannot be written: {error.strerror or 'no reason given'}")
-            line.send((0, problems_at(Path(case), HeartcaseError([problem]))))
+            line.send((0, problems_at(case, HeartcaseError([problem]))))
         except Exception as error:
-            line.send((0, problems_at(Path(case), told(error))))
+            line.send((0, problems_at(case, told(error))))

@@ -33,7 +33,7 @@ from heartcase.studio.operating.requests import (
     TourTo,
     parse_request,
 )
-from heartcase.studio.operating.saved_page import SavedPage
+from heartcase.studio.operating.saved_page import PageOf, SavedPage
 from heartcase.studio.operating.scene.scan_slices import has_scan
 from heartcase.studio.operating.slices import SliceServing
 from heartcase.studio.operating.stage import Stage, open_stage
@@ -81,11 +81,13 @@ class Theatre:
         The case's folder.
     out
         Folder that recordings are put into.
+    page_of
+        Makes the file that it is saved as, for browsers without a server.
     origin
         The recipe that it was built from, where it was opened from one: tours may stand beside it.
     """
 
-    def __init__(self, case: Path, *, out: Path, origin: Origin | None = None) -> None:
+    def __init__(self, case: Path, *, out: Path, page_of: PageOf, origin: Origin | None = None) -> None:
         self._case = case
         self._out = out
         self.origin = origin
@@ -105,7 +107,7 @@ class Theatre:
         self._idle = Idle(self._free)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._plans = ComparedPlans(case, out, lambda: self._hear(self._plans.message))
-        self.saved = SavedPage(case, out, lambda: self._hear(self._saved_message))
+        self.saved = SavedPage(case, out, page_of, lambda: self._hear(self._saved_message))
         self._freed: str | None = None
         self._device_page: Page | None = None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from heartcase.studio.offline.exported import page_of
+from heartcase.studio.offline.exported import fitting_page_of, page_of
 from heartcase.studio.operating.saved_page import SavedPage
 from tests.studio.operating.performing import operator, theatre
 from tests.studio.operating.test_plans import recorded  # noqa: F401
@@ -51,7 +51,7 @@ def test_a_case_is_saved_as_the_command_exports_it(recorded):  # noqa: F811
 
 def test_what_is_left_on_the_way_is_neither_told_nor_there(recorded):  # noqa: F811
     path, _ = recorded
-    saved = SavedPage(path, path.parent, lambda: None)
+    saved = SavedPage(path, path.parent, fitting_page_of, lambda: None)
     before = set(path.parent.iterdir())
     saved.save([])
     assert saved.facts == {"state": "working"}
