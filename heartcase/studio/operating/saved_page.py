@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
 import signal
 import threading
 from collections.abc import Callable, Sequence
@@ -24,7 +23,6 @@ PageOf = Callable[[Path, Sequence[Path]], tuple[bytes, list[str]]]
 """Makes the file of a case and its recordings, and says what is wrong with it; a process beside must find it."""
 
 _ENDED = "what saves the page has ended: save it again"
-_NICE = 10
 _END_S = 2.0
 
 
@@ -112,9 +110,6 @@ class SavedPage:
 def _save(line: Connection, page_of: PageOf, case: Path, recordings: list[Path], path: Path) -> None:
     """The process: write the file, and answer with its size in bytes, 0 where there is none, and what is wrong."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(os, "nice"):
-        with contextlib.suppress(OSError):
-            os.nice(_NICE)
     with contextlib.suppress(OSError):
         try:
             content, warnings = page_of(case, recordings)
