@@ -109,7 +109,7 @@ def arrange(surface: UncutSurface, mesh: SheetMesh) -> Arrangement:
     arcs.nodes[len(pairs) :][at_corner] = vertex_count + between.corners[at_corner]
 
     corners = np.concatenate([surface.triangles[crossed], vertex_count + mesh.triangles])
-    edge_count = int(surface.edges.max(initial=-1)) + 1
+    edge_count = surface.edge_count
     facet_edges = np.concatenate([surface.edges[crossed], edge_count + mesh.edges])
     facet_forward = corners < np.roll(corners, -1, axis=1)
     edge_first, edge_nodes, edge_shares = _nodes_on_edges(
@@ -162,7 +162,7 @@ def _nodes_on_edges(
 ) -> tuple[Int64, Int64, Float64]:
     """Nodes on the edges of each facet, in order: where each edge's begin, the nodes, and how far along they are."""
     corners, facet_edges, facet_forward = facets
-    edge_count = int(surface.edges.max(initial=-1)) + 1
+    edge_count = surface.edge_count
     first_node = surface.vertex_count + len(mesh.vertices)
     # One arc that ends in each node, and the facet of the two whose edge the node is on.
     at_end = arcs.nodes.ravel() - first_node

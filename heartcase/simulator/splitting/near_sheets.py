@@ -9,14 +9,19 @@ from heartcase.compiling.kernel import kernel
 __all__ = ["add_ways_to_middles", "in_marked_cells"]
 
 
+@kernel(cached=False)
+def _along(places, new_places, vertex, axis):
+    return places[vertex, axis] if vertex < len(places) else new_places[vertex - len(places), axis]
+
+
 @kernel
-def add_ways_to_middles(triangles, places, row, total):
+def add_ways_to_middles(triangles, places, new_places, row, total):
     """Add up the ways from some vertices to the middles of their triangles.
 
     Parameters
     ----------
-    triangles, places
-        Of the surface, shapes (triangle_count, 3) and (vertex_count, 3).
+    triangles, places, new_places
+        Of the surface, shape (triangle_count, 3); of its first vertices, and of those that follow, shape (count, 3).
     row
         Row of each vertex in the totals, or -1, shape (vertex_count,).
     total
@@ -27,10 +32,12 @@ def add_ways_to_middles(triangles, places, row, total):
         if row[a] < 0 and row[b] < 0 and row[c] < 0:
             continue
         for axis in range(3):
-            middle = (places[a, axis] + places[b, axis] + places[c, axis]) / 3.0
-            for vertex in (a, b, c):
+            x, y = _along(places, new_places, a, axis), _along(places, new_places, b, axis)
+            z = _along(places, new_places, c, axis)
+            middle = (x + y + z) / 3.0
+            for vertex, here in ((a, x), (b, y), (c, z)):
                 if row[vertex] >= 0:
-                    total[row[vertex], axis] += middle - places[vertex, axis]
+                    total[row[vertex], axis] += middle - here
 
 
 @kernel

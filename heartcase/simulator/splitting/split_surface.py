@@ -6,7 +6,7 @@ All follows from the uncut surface and the list of sheets: taking the last one b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,15 @@ from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.splitting.gluing import join_sets
-from heartcase.simulator.splitting.surface_binding import Ties, closest_weights, tie_cells, tie_split
+from heartcase.simulator.splitting.surface_binding import (
+    LatticeCells,
+    Seen,
+    TiedSurface,
+    Ties,
+    closest_weights,
+    tie_cells,
+    tie_split,
+)
 from heartcase.simulator.splitting.surface_split import SplitMesh, split_mesh
 from heartcase.simulator.surface.cpu_kernels import move_at_rest
 from heartcase.simulator.surface.deform import (
@@ -50,8 +58,8 @@ class CuttableSurface:
     """The same at rest, in the frame of the nodes."""
     normals: Float64
     """Unit normals at rest, grid axes, shape (vertex_count, 3)."""
-    cells_of_ties: Int64
-    """Cells that have the three nodes of each vertex, or -1, shape (vertex_count, 2)."""
+    tied: TiedSurface
+    """What its vertices follow."""
 
     @classmethod
     def of(cls, model: LatticeModel, surface: SurfaceModel) -> CuttableSurface:
@@ -66,7 +74,8 @@ class CuttableSurface:
         places = model.geometry.world_to_index(surface.rest_mm.astype(np.float64)) + 0.5
         normals = still.normals.astype(np.float64) @ model.geometry.direction_matrix
         mesh = UncutSurface.of(places, surface.triangles)
-        return cls(model, surface, mesh, normals, tie_cells(model, surface.triangle_nodes))
+        tied = TiedSurface(LatticeCells.of(model), surface.triangle_nodes, tie_cells(model, surface.triangle_nodes))
+        return cls(model, surface, mesh, normals, tied)
 
     def samples(self) -> TissueSamples:
         """Samples of the tissue inside the surface."""
@@ -100,6 +109,9 @@ class SplitSurface:
     uv_mm: Float32
     """Texture coordinates of cut faces: places on the sheet laid out flat, mm; else 0, shape (vertex_count, 2)."""
 
+    seen: Seen | None = field(default=None, repr=False, compare=False)
+    """What was asked for it, from which a split with more sheets goes on."""
+
     @property
     def triangle_is_cut_face(self) -> Bool:
         """Whether a triangle is a new wall, shape (triangle_count,)."""
@@ -121,7 +133,9 @@ class SplitSurface:
         return found
 
 
-def split_surface(cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequence[Sheet]) -> SplitSurface:
+def split_surface(
+    cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequence[Sheet], before: SplitSurface | None = None
+) -> SplitSurface:
     """Split a surface along sheets and tie it to the lattice that they cut.
 
     Parameters
@@ -132,44 +146,62 @@ def split_surface(cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequ
         The cut lattice (:func:`heartcase.simulator.cutting.parted_lattice.part` with the same sheets).
     sheets
         What the blade swept, at rest.
+    before
+        The surface split along the first of these sheets, from which it goes on: the same bytes, and sooner.
     """
     mesh = sheet_mesh(sheets)
     split = split_mesh(cuttable.mesh, mesh)
-    inward, normals = _directions(cuttable, split)
-    ties = tie_split(
-        cuttable.model, parted, mesh, split, cuttable.surface.triangle_nodes, cuttable.cells_of_ties, inward
+    outward, normals = _directions(cuttable, split)
+    ties, seen = tie_split(
+        cuttable.model,
+        parted,
+        mesh,
+        split,
+        cuttable.tied,
+        (cuttable.normals, outward),
+        tuple(sheets),
+        None if before is None else before.seen,
     )
-    cells = np.full(len(split.places), -1, np.int32)
-    old_count = cuttable.surface.vertex_count
+    count, old_count = split.vertex_count, split.old_count
+    cells, weld = np.full(count, -1, np.int32), np.arange(count, dtype=np.int32)
     cells[ties.changed] = ties.cells[: len(ties.changed)]
     cells[old_count:] = ties.cells[len(ties.changed) :]
+    weld[old_count:] = split.new_weld
+    on_triangle, on_weights = np.full(count, -1, np.int32), np.zeros((count, 3), np.float32)
+    on_triangle[old_count:], on_weights[old_count:] = split.new_on_triangle, split.new_on_weights
+    uv_mm = np.zeros((count, 2), np.float32)
+    uv_mm[old_count:] = split.new_flat * cuttable.model.cell_mm
     return SplitSurface(
         surface=_hung(cuttable, parted, split, ties, normals),
-        weld=split.weld,
+        weld=weld,
         triangle_origin=split.triangle_origin,
         triangle_sheet=split.triangle_sheet,
         triangle_part=split.triangle_part,
         vertex_cells=cells,
-        on_triangle=split.on_triangle,
-        on_weights=split.on_weights.astype(np.float32),
-        uv_mm=(split.flat * cuttable.model.cell_mm).astype(np.float32),
+        on_triangle=on_triangle,
+        on_weights=on_weights,
+        uv_mm=uv_mm,
+        seen=seen,
     )
 
 
 def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, Float64]:
-    """Direction into the tissue at each vertex, and normals of the new vertices; unit vectors, grid axes."""
-    old_count, whole_count = len(cuttable.normals), len(split.places)
-    rows = np.arange(len(split.triangles) - len(split.facing), len(split.triangles))
+    """Direction out of the tissue at each new vertex, and its normal; unit vectors, grid axes."""
+    old_count, whole_count = split.old_count, split.vertex_count
+    first_row = len(split.triangles) - len(split.facing)
     # Only vertices of what was divided, and new ones, are asked for.
     is_asked = np.zeros(whole_count, np.bool_)
-    is_asked[split.triangles[rows]] = True
+    is_asked[split.triangles[first_row:]] = True
     is_asked[old_count:] = True
     asked = np.flatnonzero(is_asked)
-    number = np.cumsum(is_asked) - 1
-    triangles, facing, weld = number[split.triangles[rows]], split.facing, number[split.weld[asked]]
+    number = np.empty(whole_count, np.int64)
+    number[asked] = np.arange(len(asked))
     count, first_new = len(asked), len(asked) - (whole_count - old_count)
+    triangles, facing = number[split.triangles[first_row:]], split.facing
+    weld = np.concatenate([np.arange(first_new), number[split.new_weld]])
+    places_asked = np.concatenate([split.uncut_places[asked[:first_new]], split.new_places])
     # By the angle at the corner: how a side is divided into triangles does not count.
-    corners = split.places[asked][triangles]
+    corners = places_asked[triangles]
     ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     angle = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=2), np.einsum("tcx,tcx->tc", ahead, back))
     angle += 0.3  # a side that is too thin counts, too
@@ -191,16 +223,16 @@ def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, F
     normals = _unit(own)
     normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, first)
     is_lip = np.zeros(count, np.bool_)
-    is_lip[triangles[split.triangle_origin[rows] >= 0].ravel()] = True
-    on = np.flatnonzero((split.on_triangle[asked] >= 0) & is_lip)
-    of_corners = cuttable.normals[cuttable.mesh.triangles[split.on_triangle[asked[on]]]]
-    smooth = _unit(np.einsum("nc,ncx->nx", split.on_weights[asked[on]], of_corners))
+    is_lip[triangles[split.triangle_origin[first_row:] >= 0].ravel()] = True
+    lips = np.flatnonzero((split.new_on_triangle >= 0) & is_lip[first_new:])
+    on = first_new + lips
+    of_corners = cuttable.normals[cuttable.mesh.triangles[split.new_on_triangle[lips]]]
+    smooth = _unit(np.einsum("nc,ncx->nx", split.new_on_weights[lips], of_corners))
     normals[on] = np.where(np.linalg.norm(smooth, axis=1, keepdims=True) > 0, smooth, normals[on])
     outward = _unit(together)
     for spare in (outward, np.array([0.0, 0.0, 1.0])):
         normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, spare)
-    inward = np.concatenate([-cuttable.normals, -outward[first_new:]])
-    return inward, normals[first_new:]
+    return outward[first_new:], normals[first_new:]
 
 
 def _hung(
@@ -208,13 +240,13 @@ def _hung(
 ) -> SurfaceModel:
     """The surface with its new vertices, and those that follow other nodes than before."""
     before, model = cuttable.surface, parted.model
-    old_count, count = before.vertex_count, len(split.places)
+    old_count, count = before.vertex_count, split.vertex_count
     new = np.arange(old_count, count)
     rows = np.concatenate([ties.changed, new])
 
     def grown(values: Any) -> Any:
-        room = np.zeros((count, *values.shape[1:]), values.dtype)
-        room[:old_count] = values
+        room = np.empty((count, *values.shape[1:]), values.dtype)
+        room[:old_count], room[old_count:] = values, 0
         return room
 
     arrays: dict[str, Any] = {
@@ -232,7 +264,7 @@ def _hung(
         )
     }
     arrays["triangle_nodes"][rows] = ties.nodes
-    arrays["rest_mm"][new] = model.geometry.index_to_world(split.places[new] - 0.5).astype(np.float32)
+    arrays["rest_mm"][new] = model.geometry.index_to_world(split.new_places - 0.5).astype(np.float32)
     normals_of, arrays["normal_number"], is_bent_anew = _node_normals(before, parted, arrays, ties)
 
     tied_anew = np.concatenate([ties.changed[ties.is_tied_anew], new])
@@ -240,7 +272,7 @@ def _hung(
     arrays["normal_number"][tied_anew] = 0
     redone = np.concatenate([tied_anew, is_bent_anew])
     corners = model.node_index[arrays["triangle_nodes"][redone]].astype(np.float64)
-    places = split.places[redone]
+    places = split.places_of(redone)
     anew = len(tied_anew)
     arrays["weights"][tied_anew] = closest_weights(places[:anew], corners[:anew]).astype(np.float32)
     edges = corners[:, 1:] - corners[:, :1]
@@ -254,7 +286,9 @@ def _hung(
         basis[np.flatnonzero(bent)[defined]] = curved[defined]
         arrays["curvature"][redone[bent][~defined]] = 0
     away = places - np.einsum("vi,vix->vx", arrays["weights"][redone].astype(np.float64), corners)
-    facing = np.concatenate([cuttable.normals, new_normals])[redone]
+    is_old = redone < old_count
+    facing = np.empty((len(redone), 3))
+    facing[is_old], facing[~is_old] = cuttable.normals[redone[is_old]], new_normals[redone[~is_old] - old_count]
     arrays["offset"][redone] = np.einsum("vbx,vx->vb", basis, away).astype(np.float32)
     arrays["normal"][redone] = np.einsum("vbx,vx->vb", basis, facing).astype(np.float32)
     turn = np.empty((len(redone), 3), np.float32)
