@@ -17,14 +17,14 @@ from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
-from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.splitting.gluing import join_sets
+from heartcase.simulator.splitting.hanging_kernels import gather_near, hang_on, write_offsets
 from heartcase.simulator.splitting.surface_binding import (
     LatticeCells,
     Seen,
     TiedSurface,
     Ties,
-    closest_weights,
     tie_cells,
     tie_split,
 )
@@ -34,7 +34,6 @@ from heartcase.simulator.surface.deform import (
     NodeNormals,
     SurfaceModel,
     deform,
-    gather_springs,
     interpolated_basis,
     rest_normals,
     triangle_basis,
@@ -58,6 +57,10 @@ class CuttableSurface:
     """The same at rest, in the frame of the nodes."""
     normals: Float64
     """Unit normals at rest, grid axes, shape (vertex_count, 3)."""
+    curved: Int64
+    """Vertices with an interpolated basis, ascending."""
+    rest_normals: Float32
+    """Approximate normals at rest of the nodes that these need, shape (at least 1, 3)."""
     tied: TiedSurface
     """What its vertices follow."""
 
@@ -75,7 +78,8 @@ class CuttableSurface:
         normals = still.normals.astype(np.float64) @ model.geometry.direction_matrix
         mesh = UncutSurface.of(places, surface.triangles)
         tied = TiedSurface(LatticeCells.of(model), surface.triangle_nodes, tie_cells(model, surface.triangle_nodes))
-        return cls(model, surface, mesh, normals, tied)
+        curved, at_rest = np.flatnonzero(surface.curvature), rest_normals(surface.normals_of)
+        return cls(model, surface, mesh, normals, curved, at_rest, tied)
 
     def samples(self) -> TissueSamples:
         """Samples of the tissue inside the surface."""
@@ -265,45 +269,35 @@ def _hung(
     }
     arrays["triangle_nodes"][rows] = ties.nodes
     arrays["rest_mm"][new] = model.geometry.index_to_world(split.new_places - 0.5).astype(np.float32)
-    normals_of, arrays["normal_number"], is_bent_anew = _node_normals(before, parted, arrays, ties)
+    normals_of, at_rest, is_bent_anew = _node_normals(cuttable, parted, arrays, ties)
 
     tied_anew = np.concatenate([ties.changed[ties.is_tied_anew], new])
     arrays["curvature"][tied_anew] = 0
     arrays["normal_number"][tied_anew] = 0
     redone = np.concatenate([tied_anew, is_bent_anew])
-    corners = model.node_index[arrays["triangle_nodes"][redone]].astype(np.float64)
-    places = split.places_of(redone)
-    anew = len(tied_anew)
-    arrays["weights"][tied_anew] = closest_weights(places[:anew], corners[:anew]).astype(np.float32)
-    edges = corners[:, 1:] - corners[:, :1]
-    arrays["edges"][redone] = edges.astype(np.float32)
-    basis = triangle_basis(edges)
-    bent = arrays["curvature"][redone] != 0
-    if bent.any():
-        weights = arrays["weights"][redone[bent]]
-        at_rest = rest_normals(normals_of)[arrays["normal_number"][redone[bent]]]
-        curved, defined = interpolated_basis(edges[bent], weights, at_rest)
-        basis[np.flatnonzero(bent)[defined]] = curved[defined]
-        arrays["curvature"][redone[bent][~defined]] = 0
-    away = places - np.einsum("vi,vix->vx", arrays["weights"][redone].astype(np.float64), corners)
+    nodes, places = arrays["triangle_nodes"][redone], split.places_of(redone)
+    edges, basis = np.empty((len(redone), 2, 3), np.float32), np.empty((len(redone), 3, 3))
+    weights, curvature = arrays["weights"][redone], arrays["curvature"][redone]
+    if hang_on(places, nodes, model.node_index, len(tied_anew), weights, edges, basis) < 1e-6:
+        corners = model.node_index[nodes].astype(np.float64)
+        triangle_basis(corners[:, 1:] - corners[:, :1])
+    bent = np.flatnonzero(curvature)
+    numbers = arrays["normal_number"][redone]
+    if len(bent):
+        curved, defined = interpolated_basis(edges[bent].astype(np.float64), weights[bent], at_rest[numbers[bent]])
+        basis[bent[defined]] = curved[defined]
+        curvature[bent[~defined]] = 0
     is_old = redone < old_count
     facing = np.empty((len(redone), 3))
     facing[is_old], facing[~is_old] = cuttable.normals[redone[is_old]], new_normals[redone[~is_old] - old_count]
-    arrays["offset"][redone] = np.einsum("vbx,vx->vb", basis, away).astype(np.float32)
-    arrays["normal"][redone] = np.einsum("vbx,vx->vb", basis, facing).astype(np.float32)
-    turn = np.empty((len(redone), 3), np.float32)
-    move_at_rest(
-        np.ascontiguousarray(arrays["triangle_nodes"][redone]),
-        np.ascontiguousarray(arrays["weights"][redone]),
-        np.ascontiguousarray(arrays["edges"][redone]),
-        np.ascontiguousarray(arrays["curvature"][redone]),
-        np.ascontiguousarray(arrays["offset"][redone]),
-        np.ascontiguousarray(arrays["normal_number"][redone]),
-        rest_normals(normals_of),
-        np.zeros((model.node_count, 3), np.float32),
-        turn,
-    )
-    arrays["rest_turn"][redone] = turn
+    offset, normal, turn = (np.empty((len(redone), 3), np.float32) for _ in range(3))
+    write_offsets(places, nodes, model.node_index, weights, basis, facing, offset, normal)
+    still = np.zeros((model.node_count, 3), np.float32)
+    move_at_rest(nodes, weights, edges, curvature, offset, numbers, at_rest, still, turn)
+    redone_arrays = (weights, edges, curvature, offset, normal, turn)
+    names = ("weights", "edges", "curvature", "offset", "normal", "rest_turn")
+    for name, values in zip(names, redone_arrays, strict=True):
+        arrays[name][redone] = values
     return replace(
         before,
         triangles=split.triangles,
@@ -314,24 +308,30 @@ def _hung(
 
 
 def _node_normals(
-    before: SurfaceModel, parted: PartedLattice, arrays: dict[str, Any], ties: Ties
-) -> tuple[NodeNormals, Int32, Int64]:
-    """Springs for approximate normals, numbers for each vertex, and bent vertices of which a normal at rest changed."""
-    pieces = parted.pieces
-    is_around = np.zeros(parted.model.node_count, np.bool_)
-    is_around[parted.model.cell_corners[np.isin(parted.cell_origin, pieces.cells)].ravel()] = True
-    numbers = arrays["normal_number"]
-    kept = np.ones(len(before.weights), np.bool_)
+    cuttable: CuttableSurface, parted: PartedLattice, arrays: dict[str, Any], ties: Ties
+) -> tuple[NodeNormals, Float32, Int64]:
+    """Springs for approximate normals, these at rest, and bent vertices of which one at rest changed.
+
+    The numbers of the normals of each vertex are written.
+    """
+    before, model = cuttable.surface, parted.model
+    old, old_at_rest, nothing = before.normals_of, cuttable.rest_normals, np.zeros(0, np.int64)
+    # Of the cells that sheets come to the first piece keeps the number, and the others follow.
+    is_around = np.zeros(model.node_count, np.bool_)
+    is_around[model.cell_corners[parted.pieces.cells]] = True
+    is_around[model.cell_corners[cuttable.model.cell_count :]] = True
+    curved = cuttable.curved
+    kept = np.ones(before.vertex_count, np.bool_)
     kept[ties.changed[ties.is_tied_anew]] = False
-    curved = np.flatnonzero((before.curvature != 0) & kept)
-    touched = curved[is_around[arrays["triangle_nodes"][curved]].any(axis=1)]
-    nothing = np.zeros(0, np.int64)
+    nodes = arrays["triangle_nodes"][curved]
+    touched_rows = np.flatnonzero(kept[curved] & is_around[nodes].any(axis=1))
+    touched, nodes = curved[touched_rows], nodes[touched_rows]
     if not len(touched):
-        return before.normals_of, numbers, nothing
-    nodes = arrays["triangle_nodes"][touched]
-    around = np.unique(nodes[is_around[nodes]])
-    added = gather_springs(parted.model, around)
-    old = before.normals_of
+        return old, old_at_rest, nothing
+    is_near = np.zeros(model.node_count, np.bool_)
+    is_near[nodes[is_around[nodes]]] = True
+    around = np.flatnonzero(is_near)
+    added = _gathered(model, around)
     first = np.concatenate([old.first, old.first[-1] + added.first[1:]]).astype(np.int32)
     joined = NodeNormals(
         np.concatenate([old.nodes, added.nodes]),
@@ -339,11 +339,27 @@ def _node_normals(
         np.concatenate([old.neighbours, added.neighbours]),
         np.concatenate([old.offset, added.offset]),
     )
-    number = len(old.nodes) + np.searchsorted(around, nodes)
-    numbers[touched] = np.where(is_around[nodes], number, numbers[touched]).astype(np.int32)
-    at_rest = rest_normals(joined)
-    is_same = (at_rest[numbers[touched]] == at_rest[before.normal_number[touched]]).all(axis=(1, 2))
-    return joined, numbers, touched[~is_same]
+    at_rest = np.concatenate([old_at_rest[: len(old.nodes)], rest_normals(added)])
+    number_of = np.empty(model.node_count, np.int32)
+    number_of[around] = len(old.nodes) + np.arange(len(around))
+    was = before.normal_number[touched]
+    numbers = np.where(is_around[nodes], number_of[nodes], was)
+    arrays["normal_number"][touched] = numbers
+    is_same = (at_rest[numbers] == at_rest[was]).all(axis=(1, 2))
+    return joined, at_rest, touched[~is_same]
+
+
+def _gathered(model: LatticeModel, nodes: Int64) -> NodeNormals:
+    """The springs of some nodes, as :func:`heartcase.simulator.surface.deform.gather_springs` gives them."""
+    first, room = np.empty(len(nodes) + 1, np.int32), 24 * len(nodes)
+    while True:
+        neighbours, offset = np.empty(room, np.int32), np.empty((room, 3), np.float32)
+        count = gather_near(
+            model.spring_nodes, model.spring_direction, DIRECTIONS, model.node_count, nodes, first, neighbours, offset
+        )
+        if count <= room:
+            return NodeNormals(nodes.astype(np.int32), first, neighbours[:count].copy(), offset[:count].copy())
+        room = count
 
 
 def _drawn(before: SurfaceModel, normal: Float32) -> dict[str, Any]:
