@@ -6,6 +6,7 @@ vertices of the surface, then those of the sheets, then the ends of arcs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +14,15 @@ import numpy as np
 from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.simulator.arrangement.exact_ties import is_nearer
 from heartcase.simulator.arrangement.facet_graphs import divide_facets
-from heartcase.simulator.arrangement.sheet_crossings import Arcs, cross_points, cross_sheets
-from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
-from heartcase.simulator.arrangement.surface_crossings import cross_surface
+from heartcase.simulator.arrangement.merged_rows import order_rows
+from heartcase.simulator.arrangement.sheet_crossings import Arcs, SheetArcs, cross_points, cross_sheets, joined_arcs
+from heartcase.simulator.arrangement.sheet_mesh import NO_SHEETS, SheetMesh, merged_mesh
+from heartcase.simulator.arrangement.surface_crossings import cross_surface, renumber_ends
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
+from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.crossings import QUANTA
 
-__all__ = ["Arcs", "Arrangement", "Faces", "arrange"]
+__all__ = ["NOTHING_CROSSES", "Arcs", "Arrangement", "Crossings", "Faces", "arrange", "crossings"]
 
 _SAME = 2.0**36
 """Shares of an edge that are the same when rounded by this are in the order in which a movement puts them."""
@@ -62,9 +65,60 @@ class Arrangement(NamedTuple):
     """Their barycentric places there, shape (count, 3)."""
 
 
-def _surface_arcs(surface: UncutSurface, mesh: SheetMesh) -> tuple[Int64, Int64, Float64]:
-    """Triangles, keys of ends and their weights, of each arc of the surface and a sheet; by triangles."""
-    room = 64 * len(mesh.triangles) + 1024
+class Crossings(NamedTuple):
+    """What crosses what: all that is needed of a cut for the next to go on from it."""
+
+    mesh: SheetMesh
+    of_surface: SheetArcs
+    """Arcs of the surface and sheets, by triangles of the surface, then of sheets; without corners."""
+    between: SheetArcs
+    """Arcs of two triangles of sheets, by these."""
+
+
+NOTHING_CROSSES = Crossings(
+    NO_SHEETS,
+    *(
+        SheetArcs(
+            np.zeros((0, 2), np.int64), np.zeros((0, 2), np.int64), np.zeros((0, 2, 2, 3)), np.zeros((0, 2), np.int64)
+        )
+        for _ in range(2)
+    ),
+)
+"""Where there is no sheet."""
+
+
+def crossings(surface: UncutSurface, sheets: Sequence[Sheet], before: Crossings, first: int) -> Crossings:
+    """What sheets cross.
+
+    Parameters
+    ----------
+    surface
+        The uncut surface.
+    sheets
+        All sheets.
+    before, first
+        What the first of these cross, and how many these are.
+    """
+    merged = merged_mesh(before.mesh, sheets, first)
+    own = _surface_arcs(surface, merged.mesh, merged.added)
+    pairs, ends = before.of_surface.pairs.copy(), before.of_surface.ends.copy()
+    pairs[:, 1] = merged.triangles[pairs[:, 1]]
+    renumber_ends(ends, merged.triangles, merged.edges)
+    pairs = np.concatenate([pairs, own.pairs])
+    order = order_rows(pairs)
+    of_surface = SheetArcs(
+        pairs[order],
+        np.concatenate([ends, own.ends])[order],
+        np.concatenate([before.of_surface.weights, own.weights])[order],
+        own.corners,
+    )
+    between = cross_sheets(surface, merged.mesh, merged.added)
+    return Crossings(merged.mesh, of_surface, joined_arcs(before.between, between, merged))
+
+
+def _surface_arcs(surface: UncutSurface, mesh: SheetMesh, asked: Int64) -> SheetArcs:
+    """Arcs of the surface and triangles of sheets."""
+    room = 64 * len(asked) + 1024
     while True:
         pairs, ends = np.empty((room, 2), np.int64), np.empty((room, 2), np.int64)
         weights = np.empty((room, 2, 2, 3))
@@ -76,23 +130,23 @@ def _surface_arcs(surface: UncutSurface, mesh: SheetMesh) -> tuple[Int64, Int64,
             mesh.vertices,
             mesh.triangles,
             mesh.edges,
+            asked,
             pairs,
             ends,
             weights,
         )
         if count <= room:
-            order = np.lexsort((pairs[:count, 1], pairs[:count, 0]))
-            return pairs[order], ends[order], weights[order]
+            return SheetArcs(pairs[:count], ends[:count], weights[:count], np.zeros((0, 2), np.int64))
         room = count
 
 
-def arrange(surface: UncutSurface, mesh: SheetMesh) -> Arrangement:
+def arrange(surface: UncutSurface, crossing: Crossings) -> Arrangement:
     """Divide a surface and sheets by one another."""
+    mesh, between = crossing.mesh, crossing.between
     vertex_count, sheet_count = surface.vertex_count, len(mesh.vertices)
-    pairs, ends, weights = _surface_arcs(surface, mesh)
+    pairs, ends, weights, _ = crossing.of_surface
     crossed = np.unique(pairs[:, 0])
     first_sheet = len(crossed)
-    between = cross_sheets(surface, mesh)
     facets = np.concatenate(
         [
             np.stack([np.searchsorted(crossed, pairs[:, 0]), first_sheet + pairs[:, 1]], axis=1),

@@ -13,7 +13,7 @@ import numpy as np
 from heartcase.compiling.kernel import kernel
 from heartcase.simulator.arrangement.exact_sides import line_side, sheet_side, tissue_side, volume
 
-__all__ = ["cross_surface", "fill_buckets", "is_inside"]
+__all__ = ["cross_surface", "fill_buckets", "is_inside", "renumber_ends"]
 
 
 @kernel
@@ -148,9 +148,9 @@ def _cross_two(surface, of_surface, surface_edges, sheet, of_sheet, sheet_edges,
 
 @kernel
 def cross_surface(
-    vertices, triangles, edges, buckets, sheet_vertices, sheet_triangles, sheet_edges, pairs, ends, weights
+    vertices, triangles, edges, buckets, sheet_vertices, sheet_triangles, sheet_edges, asked, pairs, ends, weights
 ):
-    """Write the arcs of a surface and a sheet as long as there is room; returns how many there are.
+    """Write the arcs of a surface and triangles of a sheet as long as there is room; returns how many there are.
 
     Parameters
     ----------
@@ -160,6 +160,8 @@ def cross_surface(
         ``(shift, low, size, first, members)`` of :func:`fill_buckets`.
     sheet_vertices, sheet_triangles, sheet_edges
         The same of the sheet.
+    asked
+        Which triangles of the sheet are asked for.
     pairs
         Triangle of the surface and of the sheet of each arc, shape (room, 2), written.
     ends
@@ -174,7 +176,7 @@ def cross_surface(
     own = np.empty((2, 3), np.int64)
     # Where there is no room ends are written over one another.
     spare_ends, spare_weights = np.empty((1, 2), np.int64), np.empty((1, 2, 2, 3))
-    for number in range(len(sheet_triangles)):
+    for number in asked:
         of_sheet = sheet_triangles[number]
         _reach(sheet_vertices, of_sheet, shift, low, size, reach)
         for k in range(reach[0, 2], reach[1, 2] + 1):
@@ -212,6 +214,23 @@ def cross_surface(
                                 pairs[count, 0], pairs[count, 1] = triangle, number
                             count += 1
     return count
+
+
+@kernel
+def renumber_ends(ends, triangles, edges):
+    """Let keys of ends name triangles and edges of sheets by their new numbers."""
+    mask, of_sheet = np.int64(0x7FFFFFFF), np.int64(1) << 62
+    for n in range(len(ends)):
+        for end in range(2):
+            key = ends[n, end]
+            if key < 0:
+                key = -1 - key
+                ends[n, end] = -1 - ((edges[key >> 31] << 31) | triangles[key & mask])
+            elif key >= of_sheet:
+                key ^= of_sheet
+                ends[n, end] = of_sheet | (edges[key >> 31] << 31) | (key & mask)
+            else:
+                ends[n, end] = (key & ~mask) | triangles[key & mask]
 
 
 @kernel

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
-from heartcase.simulator.arrangement.sheet_mesh import sheet_mesh
+from heartcase.simulator.arrangement.arrange import NOTHING_CROSSES, Crossings, crossings
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
@@ -87,6 +87,26 @@ class CuttableSurface:
 
 
 @dataclass(frozen=True)
+class SplitWork:
+    """What was found when a surface was split."""
+
+    cuttable: CuttableSurface | None
+    """The uncut surface."""
+    sheets: tuple[Sheet, ...]
+    """What it was split along."""
+    crossings: Crossings
+    seen: Seen | None
+
+    def is_begun(self, cuttable: CuttableSurface, sheets: tuple[Sheet, ...]) -> bool:
+        """Whether a split along some sheets goes on from this one."""
+        is_of_same = self.cuttable is cuttable and len(self.sheets) <= len(sheets)
+        return is_of_same and all(one is other for one, other in zip(self.sheets, sheets, strict=False))
+
+
+_NO_WORK = SplitWork(None, (), NOTHING_CROSSES, None)
+
+
+@dataclass(frozen=True)
 class SplitSurface:
     """A surface that was split. Vertices of the uncut surface keep their numbers; new ones follow.
 
@@ -113,8 +133,8 @@ class SplitSurface:
     uv_mm: Float32
     """Texture coordinates of cut faces: places on the sheet laid out flat, mm; else 0, shape (vertex_count, 2)."""
 
-    seen: Seen | None = field(default=None, repr=False, compare=False)
-    """What was asked for it, from which a split with more sheets goes on."""
+    work: SplitWork | None = field(default=None, repr=False, compare=False)
+    """What was found for it, from which a split with more sheets goes on."""
 
     @property
     def triangle_is_cut_face(self) -> Bool:
@@ -153,8 +173,13 @@ def split_surface(
     before
         The surface split along the first of these sheets, from which it goes on: the same bytes, and sooner.
     """
-    mesh = sheet_mesh(sheets)
-    split = split_mesh(cuttable.mesh, mesh)
+    sheets = tuple(sheets)
+    work = None if before is None else before.work
+    if work is None or not work.is_begun(cuttable, sheets):
+        work = _NO_WORK
+    crossing = crossings(cuttable.mesh, sheets, work.crossings, len(work.sheets))
+    mesh = crossing.mesh
+    split = split_mesh(cuttable.mesh, crossing)
     outward, normals = _directions(cuttable, split)
     ties, seen = tie_split(
         cuttable.model,
@@ -163,8 +188,7 @@ def split_surface(
         split,
         cuttable.tied,
         (cuttable.normals, outward),
-        tuple(sheets),
-        None if before is None else before.seen,
+        work.seen,
     )
     count, old_count = split.vertex_count, split.old_count
     cells, weld = np.full(count, -1, np.int32), np.arange(count, dtype=np.int32)
@@ -185,7 +209,7 @@ def split_surface(
         on_triangle=on_triangle,
         on_weights=on_weights,
         uv_mm=uv_mm,
-        seen=seen,
+        work=SplitWork(cuttable, sheets, crossing, seen),
     )
 
 

@@ -17,7 +17,6 @@ from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
 from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
 from heartcase.simulator.arrangement.surface_crossings import fill_buckets
-from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.pieces import Pieces
 from heartcase.simulator.lattice.model import LatticeModel
@@ -162,14 +161,10 @@ def closest_weights(points: Float64, corners: Float64) -> Float64:
 class Seen(NamedTuple):
     """What was seen when a surface was split, so that a split that goes on from it need not look again."""
 
-    model: LatticeModel
-    """The uncut lattice."""
-    pairs: Int64
-    """Cells that have the three nodes of each vertex, by which was asked."""
     pieces: Pieces
-    """What was cut of its cells."""
-    sheets: tuple[Sheet, ...]
-    """What cut it."""
+    """What was cut of the cells."""
+    sheet_count: int
+    """How many sheets cut them."""
     answers: Answers
 
 
@@ -183,12 +178,12 @@ class _Sight:
         parted: PartedLattice,
         mesh: SheetMesh,
         pairs: Int64,
-        sheets: tuple[Sheet, ...],
         before: Seen | None,
     ) -> None:
         pieces = parted.pieces
-        self._cells, self._pairs, self._pieces, self._sheets = cells, pairs, pieces, sheets
+        self._cells, self._pairs, self._pieces = cells, pairs, pieces
         self._model, self._asked = model, list[Answers]()
+        self._sheet_count = int(mesh.sheet.max(initial=-1)) + 1
         rows = np.full(model.cell_count, -1)
         rows[pieces.cells] = np.arange(len(pieces.cells))
         self._tissue = PieceCells(model.cells, cells.middles, rows, pieces.samples)
@@ -204,13 +199,8 @@ class _Sight:
         self._buckets = SheetBuckets(mesh.vertices, mesh.triangles, low, size, first, members)
         self._known, self._table = NOTHING_SEEN, np.zeros(0, np.int32)
         self._changes = np.zeros(0, np.bool_), cells.low, np.zeros((0, 0, 0), np.bool_)
-        if before is not None and self._goes_on_from(before):
+        if before is not None:
             self._look_up(mesh, before)
-
-    def _goes_on_from(self, before: Seen) -> bool:
-        count = len(before.sheets)
-        is_of_same = before.model is self._model and before.pairs is self._pairs and count <= len(self._sheets)
-        return is_of_same and all(one is other for one, other in zip(before.sheets, self._sheets, strict=False))
 
     def _look_up(self, mesh: SheetMesh, before: Seen) -> None:
         self._known = before.answers
@@ -219,7 +209,7 @@ class _Sight:
         low, size = self._cells.low - 3, tuple(self._cells.high - self._cells.low + 7)
         self._changes = np.zeros(self._model.cell_count, np.bool_), low, np.zeros(size, np.bool_)
         was, now = ((each.cells, each.samples) for each in (before.pieces, self._pieces))
-        mark_changes(mesh.vertices, mesh.triangles, mesh.sheet, len(before.sheets), was, now, *self._changes)
+        mark_changes(mesh.vertices, mesh.triangles, mesh.sheet, before.sheet_count, was, now, *self._changes)
 
     def of(self, points: Float64, codes: Int64) -> Int64:
         """Cell of the cut lattice that each point sees of the two that a vertex is tied to, or -1, shape (count,).
@@ -254,7 +244,7 @@ class _Sight:
     def seen(self) -> Seen:
         """All that was asked."""
         answers = Answers(*(np.concatenate(each) for each in zip(*self._asked, strict=True)))
-        return Seen(self._model, self._pairs, self._pieces, self._sheets, answers)
+        return Seen(self._pieces, self._sheet_count, answers)
 
 
 def tie_split(
@@ -264,7 +254,6 @@ def tie_split(
     split: SplitMesh,
     tied: TiedSurface,
     outward: tuple[Float64, Float64],
-    sheets: tuple[Sheet, ...] = (),
     before: Seen | None = None,
 ) -> tuple[Ties, Seen]:
     """Find nodes for vertices of a split surface.
@@ -281,11 +270,11 @@ def tie_split(
         What the uncut surface follows.
     outward
         Direction out of the tissue at each vertex of the uncut surface, and at each new one, shape (count, 3).
-    sheets, before
-        What was swept, and what was seen when less was: the same is found without it.
+    before
+        What was seen when the first of these sheets had been swept: the same is found without it.
     """
     triangle_nodes, cells_of_ties = tied.triangle_nodes, tied.cells_of_ties
-    sight = _Sight(tied.cells, model, parted, mesh, cells_of_ties, sheets, before)
+    sight = _Sight(tied.cells, model, parted, mesh, cells_of_ties, before)
     old_count, count = split.old_count, split.vertex_count
     near = _near_sheets(model, parted, split.uncut_places)
     aside = _towards_own_triangles(split, near) - 0.25 * outward[0][near]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
-from heartcase.simulator.arrangement.arrange import Arrangement, arrange
+from heartcase.simulator.arrangement.arrange import Arrangement, Crossings, arrange
 from heartcase.simulator.arrangement.sheet_crossings import barycentric
 from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
 from heartcase.simulator.arrangement.surface_crossings import is_inside
@@ -122,9 +122,10 @@ class SplitMesh:
         return found
 
 
-def split_mesh(surface: UncutSurface, mesh: SheetMesh) -> SplitMesh:
+def split_mesh(surface: UncutSurface, crossing: Crossings) -> SplitMesh:
     """Split a surface along all sheets at once."""
-    parts = arrange(surface, mesh)
+    mesh = crossing.mesh
+    parts = arrange(surface, crossing)
     face_is_wall = _faces_inside(surface, mesh, parts)
     classes, partner = _glued(mesh, parts, face_is_wall)
     return _written(surface, mesh, parts, face_is_wall, classes, partner)
