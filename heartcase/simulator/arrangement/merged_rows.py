@@ -6,7 +6,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["merge_rows", "order_rows"]
+__all__ = ["merge_rows", "number_rows", "order_rows"]
 
 
 @kernel(cached=False)
@@ -73,3 +73,15 @@ def merge_rows(old, new, old_number, new_number, source):
             new_number[order[at]] = count - 1
             at += 1
     return count
+
+
+@kernel
+def number_rows(rows):
+    """Number of each row among all that differ, ascending, shape (count,)."""
+    order, numbers = order_rows(rows), np.empty(len(rows), np.int64)
+    count = 0
+    for at in range(len(order)):
+        if at > 0 and _compared(rows[order[at]], rows[order[at - 1]]) != 0:
+            count += 1
+        numbers[order[at]] = count
+    return numbers

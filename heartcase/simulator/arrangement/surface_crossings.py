@@ -234,21 +234,31 @@ def renumber_ends(ends, triangles, edges):
 
 
 @kernel
-def is_inside(vertices, triangles, point):
+def is_inside(vertices, triangles, buckets, point):
     """Whether a corner of a sheet lies inside a closed surface: by what a ray along x crosses."""
-    far = np.empty(3, np.int64)
-    crossings = 0
-    for number in range(len(triangles)):
-        a, b, c = vertices[triangles[number, 0]], vertices[triangles[number, 1]], vertices[triangles[number, 2]]
-        most = max(a[0], b[0], c[0])
-        if most < point[0] or min(a[1], b[1], c[1]) > point[1] or max(a[1], b[1], c[1]) < point[1]:
-            continue
-        if min(a[2], b[2], c[2]) > point[2] or max(a[2], b[2], c[2]) < point[2]:
-            continue
-        far[0], far[1], far[2] = most + 1, point[1], point[2]
-        if sheet_side(a, b, c, point) == sheet_side(a, b, c, far):
-            continue
-        one = line_side(a, b, point, far)
-        if one != 0 and one == line_side(b, c, point, far) and one == line_side(c, a, point, far):
-            crossings += 1
+    shift, low, size, first, members = buckets
+    far, own = np.empty(3, np.int64), np.empty((2, 3), np.int64)
+    i, j, k = (point[0] >> shift) - low[0], (point[1] >> shift) - low[1], (point[2] >> shift) - low[2]
+    if j < 0 or k < 0 or j >= size[1] or k >= size[2]:
+        return False
+    crossings, start = 0, max(i, 0)
+    for bucket in range((k * size[1] + j) * size[0] + start, (k * size[1] + j + 1) * size[0]):
+        for at in range(first[bucket], first[bucket + 1]):
+            number = members[at]
+            # Of the buckets along the ray that a triangle reaches into, it counts in the first.
+            _reach(vertices, triangles[number], shift, low, size, own)
+            if max(own[0, 0], start) != bucket % size[0]:
+                continue
+            a, b, c = vertices[triangles[number, 0]], vertices[triangles[number, 1]], vertices[triangles[number, 2]]
+            most = max(a[0], b[0], c[0])
+            if most < point[0] or min(a[1], b[1], c[1]) > point[1] or max(a[1], b[1], c[1]) < point[1]:
+                continue
+            if min(a[2], b[2], c[2]) > point[2] or max(a[2], b[2], c[2]) < point[2]:
+                continue
+            far[0], far[1], far[2] = most + 1, point[1], point[2]
+            if sheet_side(a, b, c, point) == sheet_side(a, b, c, far):
+                continue
+            one = line_side(a, b, point, far)
+            if one != 0 and one == line_side(b, c, point, far) and one == line_side(c, a, point, far):
+                crossings += 1
     return crossings % 2 == 1

@@ -9,7 +9,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["gather_near", "hang_on", "weigh_closest", "write_offsets"]
+__all__ = ["gather_near", "hang_on", "weigh_closest", "weigh_one", "write_offsets"]
 
 _PLAIN: dict[str, Any] = {"error_model": "numpy"}
 _ORDER = (0, 2, 1)
@@ -22,7 +22,7 @@ def _clip(value):
 
 
 @kernel(cached=False, **_PLAIN)
-def _weigh(point, p, q, r, weights):
+def weigh_one(point, p, q, r, weights):
     """Write the barycentric weights of the place in a triangle that is closest to a point."""
     uu, uv, vv, wu, wv = 0.0, 0.0, 0.0, 0.0, 0.0
     for axis in _ORDER:
@@ -61,7 +61,7 @@ def weigh_closest(points, corners, weights):
         Written.
     """
     for n in range(len(points)):
-        _weigh(points[n], corners[n, 0], corners[n, 1], corners[n, 2], weights[n])
+        weigh_one(points[n], corners[n, 0], corners[n, 1], corners[n, 2], weights[n])
 
 
 @kernel(**_PLAIN)
@@ -88,7 +88,7 @@ def hang_on(points, nodes, node_index, anew_count, weights, edges, basis):
             for axis in range(3):
                 corners[corner, axis] = node_index[nodes[n, corner], axis]
         if n < anew_count:
-            _weigh(points[n], corners[0], corners[1], corners[2], own)
+            weigh_one(points[n], corners[0], corners[1], corners[2], own)
             for corner in range(3):
                 weights[n, corner] = own[corner]
         for axis in range(3):

@@ -26,8 +26,6 @@ _TRIES = 48
 """Samples of a cell that are looked for, the nearest first."""
 _SAMPLE_COUNT = SAMPLES**3
 _EDGE = 1e-9
-_BIAS = 1 << 20
-"""What :func:`heartcase.schemas.bundle.lattice.lattice_keys` adds to an index."""
 _STEPS = (0, -1, 1)
 _MOVED = (1e-9, 1e-5, 1e-7)
 """How far the tissue is moved against the sheets, which decides where it lies on them [cells]."""
@@ -49,10 +47,10 @@ class PieceCells(NamedTuple):
 class CellsByIndex(NamedTuple):
     """Cells of the uncut lattice by their index."""
 
-    keys: Int64
-    """Keys of the indices (:func:`heartcase.schemas.bundle.lattice.lattice_keys`), ascending, shape (cell_count,)."""
-    numbers: Int64
-    """Cell of each, shape (cell_count,)."""
+    low: Int64
+    """Lowest index (i, j, k)."""
+    numbers: Int32
+    """Cell at each index from there on, or -1, three axes."""
 
 
 class Answers(NamedTuple):
@@ -186,15 +184,11 @@ def _see_cell(point, cell, tissue, sheets, limit, reach, place, distances, order
 @kernel(cached=False)
 def _cell_at(lattice, i, j, k):
     """Cell of the uncut lattice at an index, or -1."""
-    key = ((k + _BIAS) << 42) | ((j + _BIAS) << 21) | (i + _BIAS)
-    low, high = 0, len(lattice.keys)
-    while low < high:
-        middle = (low + high) // 2
-        if lattice.keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return lattice.numbers[low] if low < len(lattice.keys) and lattice.keys[low] == key else -1
+    low, numbers = lattice
+    i, j, k = i - low[0], j - low[1], k - low[2]
+    if i < 0 or j < 0 or k < 0 or i >= numbers.shape[0] or j >= numbers.shape[1] or k >= numbers.shape[2]:
+        return -1
+    return np.int64(numbers[i, j, k])
 
 
 @kernel(cached=False)
@@ -351,6 +345,9 @@ def _is_known(point, pair, code, answer, lattice, tissue, changes, found, away):
         return _is_as_before(point, answer, tissue, changes)
     for at in range(_around(point, lattice, found, away)):
         is_known = is_known and _is_as_before(point, found[at], tissue, changes)
+        # What is behind the one that it sees does not count; but the first may be all that is left.
+        if not is_known or (at > 0 and found[at] == answer):
+            break
     return is_known
 
 
@@ -410,26 +407,29 @@ def see_pieces(points, bits, codes, pairs, lattice, tissue, sheets, known, table
 
 
 @kernel
-def nearest_halves(points, cells, halves, offsets, chosen):
-    """Write the half of a face of its cell that each point is nearest to.
+def nearest_halves(points, cells, indices, corners, halves, offsets, nodes):
+    """Write the nodes of the half of a face of its cell that each point is nearest to, shape (count, 3).
 
     Parameters
     ----------
     points, cells
-        Points [cells], in the frame of the nodes, and the index (i, j, k) of the cell of each, shape (count, 3).
+        Points [cells], in the frame of the nodes, and the cell of each, shapes (count, 3) and (count,).
+    indices, corners
+        Index (i, j, k) and nodes of all cells, shapes (cell_count, 3) and (cell_count, 8).
     halves, offsets
         Corners of the halves of a cell's faces, the second at a right angle or the first, shape (half_count, 3), and
         the offsets of a cell's corners, shape (8, 3).
-    chosen
-        Shape (count,), written.
+    nodes
+        Written.
     """
     for n in range(len(points)):
-        nearest = np.inf
+        nearest, chosen = np.inf, 0
         for half in range(len(halves)):
-            away = _away(points[n], cells[n], offsets, halves[half])
+            away = _away(points[n], indices[cells[n]], offsets, halves[half])
             if away < nearest - 1e-12:
-                nearest = away
-                chosen[n] = half
+                nearest, chosen = away, half
+        for corner in range(3):
+            nodes[n, corner] = corners[cells[n], halves[chosen, corner]]
 
 
 @kernel(cached=False)

@@ -21,11 +21,9 @@ from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.splitting.gluing import join_sets
 from heartcase.simulator.splitting.hanging_kernels import gather_near, hang_on, write_offsets
 from heartcase.simulator.splitting.surface_binding import (
-    LatticeCells,
     Seen,
     TiedSurface,
     Ties,
-    tie_cells,
     tie_split,
 )
 from heartcase.simulator.splitting.surface_split import SplitMesh, split_mesh
@@ -77,7 +75,7 @@ class CuttableSurface:
         places = model.geometry.world_to_index(surface.rest_mm.astype(np.float64)) + 0.5
         normals = still.normals.astype(np.float64) @ model.geometry.direction_matrix
         mesh = UncutSurface.of(places, surface.triangles)
-        tied = TiedSurface(LatticeCells.of(model), surface.triangle_nodes, tie_cells(model, surface.triangle_nodes))
+        tied = TiedSurface.of(model, surface.triangle_nodes, mesh.places, mesh.triangles)
         curved, at_rest = np.flatnonzero(surface.curvature), rest_normals(surface.normals_of)
         return cls(model, surface, mesh, normals, curved, at_rest, tied)
 

@@ -15,13 +15,21 @@ import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
+from heartcase.simulator.arrangement.merged_rows import number_rows
 from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
 from heartcase.simulator.arrangement.surface_crossings import fill_buckets
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.pieces import Pieces
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.splitting.gluing import number_parts
-from heartcase.simulator.splitting.near_sheets import add_ways_to_middles, in_marked_cells
+from heartcase.simulator.splitting.near_sheets import (
+    add_ways_near,
+    add_ways_to_middles,
+    copies_of,
+    list_around,
+    near_cells,
+    order_by_reach,
+)
 from heartcase.simulator.splitting.seen_pieces import (
     NOTHING_SEEN,
     Answers,
@@ -63,11 +71,11 @@ class LatticeCells:
     @classmethod
     def of(cls, model: LatticeModel) -> LatticeCells:
         """Those of a lattice."""
-        keys = lattice_keys(model.cells)
-        order = np.argsort(keys, kind="stable")
         middles = model.cells.astype(np.float64) + 0.5 + model.cell_moments[:, :3].astype(np.float64)
         low, high = (model.cells.min(axis=0).astype(np.int64), model.cells.max(axis=0).astype(np.int64))
-        return cls(CellsByIndex(keys[order], order), middles, low, high)
+        numbers = np.full(tuple(high - low + 1), -1, np.int32)
+        numbers[tuple((model.cells - low).T)] = np.arange(model.cell_count)
+        return cls(CellsByIndex(low, numbers), middles, low, high)
 
 
 @dataclass(frozen=True)
@@ -80,6 +88,33 @@ class TiedSurface:
     """Nodes that the vertices follow, shape (vertex_count, 3)."""
     cells_of_ties: Int64
     """Cells that have these (:func:`tie_cells`), shape (vertex_count, 2)."""
+    box_cells: Int32
+    """Number of the cell that each vertex lies in, in a box two cells around all cells, or -1, (vertex_count,)."""
+    around: tuple[Int64, Int64, Int32]
+    """Triangles, and those around each vertex: where each begins, and these, ascending."""
+
+    @classmethod
+    def of(cls, model: LatticeModel, triangle_nodes: Int32, places: Float64, triangles: Int64) -> TiedSurface:
+        """What a surface follows.
+
+        Parameters
+        ----------
+        model
+            The uncut lattice.
+        triangle_nodes
+            Nodes that the vertices follow, shape (vertex_count, 3).
+        places, triangles
+            Rest places of the vertices [cells], shape (vertex_count, 3), and vertex numbers.
+        """
+        cells = LatticeCells.of(model)
+        shape = cells.high - cells.low + 5
+        index = np.floor(places).astype(np.int64) - cells.low + 2
+        is_in = ((index >= 0) & (index < shape)).all(axis=1)
+        box_cells = np.full(len(places), -1, np.int32)
+        box_cells[is_in] = np.ravel_multi_index(tuple(index[is_in].T), tuple(shape))
+        first, members = np.zeros(len(places) + 1, np.int64), np.empty(triangles.size, np.int32)
+        list_around(triangles, first, members)
+        return cls(cells, triangle_nodes, tie_cells(model, triangle_nodes), box_cells, (triangles, first, members))
 
 
 @dataclass(frozen=True)
@@ -276,8 +311,8 @@ def tie_split(
     triangle_nodes, cells_of_ties = tied.triangle_nodes, tied.cells_of_ties
     sight = _Sight(tied.cells, model, parted, mesh, cells_of_ties, before)
     old_count, count = split.old_count, split.vertex_count
-    near = _near_sheets(model, parted, split.uncut_places)
-    aside = _towards_own_triangles(split, near) - 0.25 * outward[0][near]
+    near = _near_sheets(model, parted, tied)
+    aside = _towards_own_triangles(split, tied, near) - 0.25 * outward[0][near]
     points = split.uncut_places[near] + _ASIDE * aside
     seen = sight.of(points, near)
     lost = seen < 0
@@ -294,7 +329,7 @@ def tie_split(
     points = places - _INSIDE * outward[1][main]
     main_cells = sight.of(points, np.full(len(points), -1))
     main_nodes = np.full((len(main), 3), -1, np.int32)
-    place = np.unique(np.round(places * _PLACES), axis=0, return_inverse=True)[1].ravel()
+    place = number_rows(np.round(places * _PLACES).astype(np.int64))
     on = split.new_on_triangle[main]
     is_open = on >= 0
     by_reach = _corners_by_reach(model, split, triangle_nodes, main)
@@ -324,15 +359,20 @@ def tie_split(
     return replace(ties, is_tied_anew=ties.is_tied_anew & ~is_same), sight.seen
 
 
-def _towards_own_triangles(split: SplitMesh, vertices: Int64) -> Float64:
-    """Unit vectors from some vertices to the middle of their triangles, shape (count, 3): off a sheet that they lie on.
+def _towards_own_triangles(split: SplitMesh, tied: TiedSurface, vertices: Int64) -> Float64:
+    """Unit vectors from old vertices to the middle of their triangles, shape (count, 3): off a sheet that they lie on.
 
     On which side of it a vertex is, no place tells, but the triangles that it has.
     """
-    row = np.full(split.vertex_count, -1)
+    row = np.full(split.vertex_count, -1, np.int32)
     row[vertices] = np.arange(len(vertices))
     total = np.zeros((len(vertices), 3))
-    add_ways_to_middles(split.triangles, split.uncut_places, split.new_places, row, total)
+    places = split.uncut_places, split.new_places
+    if split.crossed is None:
+        add_ways_to_middles(split.triangles, *places, row, total)
+    else:
+        added = split.triangles[len(split.triangles) - len(split.facing) :]
+        add_ways_near(vertices, tied.around, split.crossed, added, *places, row, total)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     towards: Float64 = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
     return towards
@@ -390,47 +430,31 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
 
 def _corners_by_reach(model: LatticeModel, split: SplitMesh, triangle_nodes: Int32, vertices: Int64) -> Int64:
     """Corners of the triangle that each new vertex lies on, that first whose nodes are nearest, shape (count, 3)."""
-    away = np.zeros((len(vertices), 3))
-    corners, points = split.uncut_triangles[split.new_on_triangle[vertices]], split.new_places[vertices]
-    for corner in range(3):
-        places = model.node_index[triangle_nodes[corners[:, corner]]].astype(np.float64)
-        weights = closest_weights(points, places)
-        away[:, corner] = np.linalg.norm(np.einsum("nc,ncx->nx", weights, places) - points, axis=1)
+    corners = split.uncut_triangles[split.new_on_triangle[vertices]]
+    order = np.empty((len(vertices), 3), np.int64)
     # Both lips of a cut choose alike.
-    order: Int64 = np.argsort(np.round(away * _PLACES), axis=1, kind="stable")
+    order_by_reach(split.new_places[vertices], corners, triangle_nodes, model.node_index, _PLACES, order)
     return order
 
 
-def _near_sheets(model: LatticeModel, parted: PartedLattice, places: Float64) -> Int64:
-    """Vertices within two cells of those that a sheet comes to."""
-    cells = model.cells[parted.pieces.cells]
-    if not len(cells):
-        return np.zeros(0, np.int64)
-    low = cells.min(axis=0) - 1
-    size = cells.max(axis=0) + 2 - low
-    grown = np.zeros(tuple(size), np.bool_)
-    grown[tuple((cells - low).T)] = True
-    for axis in range(3):
-        rows = np.moveaxis(grown, axis, 0)
-        before = rows.copy()
-        rows[1:] |= before[:-1]
-        rows[:-1] |= before[1:]
-    found = np.empty(len(places), np.int64)
-    return found[: in_marked_cells(places, low.astype(np.int64), grown, found)].copy()
+def _near_sheets(model: LatticeModel, parted: PartedLattice, tied: TiedSurface) -> Int64:
+    """Vertices of the uncut surface in cells that a sheet comes to, or beside these."""
+    cells = tied.cells
+    found = np.empty(len(tied.box_cells), np.int64)
+    indices = model.cells[parted.pieces.cells] - (cells.low - 2)
+    return found[: near_cells(indices, cells.high - cells.low + 5, tied.box_cells, found)].copy()
 
 
 def _corners_of(parted: PartedLattice, cells: Int64, nodes: Int32) -> Int32:
     """Corners of cells of the cut lattice that are, or are copies of, nodes, shape (count, 3)."""
-    corners = parted.model.cell_corners[cells]
-    origins = parted.node_origin[corners]
-    which = (origins[:, None, :] == nodes[:, :, None]).argmax(axis=2)
-    found: Int32 = np.take_along_axis(corners, which, axis=1)
+    found = np.empty((len(cells), 3), np.int32)
+    copies_of(parted.model.cell_corners, parted.node_origin, cells, nodes, found)
     return found
 
 
 def _half_faces(parted: PartedLattice, cells: Int64, points: Float64) -> Int32:
     """Nodes of the half of a face of each cell that is nearest to a point, shape (count, 3)."""
-    chosen = np.zeros(len(cells), np.int64)
-    nearest_halves(points, parted.model.cells[cells], _HALF_FACES, CORNER_OFFSETS, chosen)
-    nodes: Int32 = np.take_along_axis(parted.model.cell_corners[cells], _HALF_FACES[chosen], axis=1)
+    nodes = np.empty((len(cells), 3), np.int32)
+    model = parted.model
+    nearest_halves(points, cells, model.cells, model.cell_corners, _HALF_FACES, CORNER_OFFSETS, nodes)
     return nodes

@@ -73,6 +73,9 @@ class SplitMesh:
     """Unit normals of the last triangles, those that are not whole ones of the uncut surface, shape (count, 3)."""
     triangle_part: Int32
     """Number of what each triangle hangs together with, shape (triangle_count,); all that is not cut free has one."""
+    crossed: Int64 | None
+    """Triangles of the uncut surface that are not there any more, ascending; None where there are more than those that
+    sheets cross."""
 
     @property
     def old_count(self) -> int:
@@ -185,7 +188,7 @@ def _faces_inside(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement) ->
     for one in np.unique(parents[is_of_sheet & ~has_vote[parents]]):
         triangle = face_facet[one] - surface_facets
         point = mesh.vertices[mesh.triangles[triangle, 0]]
-        is_in[parents == one] = is_inside(surface.vertices, surface.triangles, point)
+        is_in[parents == one] = is_inside(surface.vertices, surface.triangles, surface.buckets, point)
     inside: Bool = is_in & is_of_sheet
     return inside
 
@@ -319,6 +322,7 @@ def _written(
         uncut_triangles=surface.triangles,
         facing=_facing(surface, mesh, parts, facets, wall_side),
         triangle_part=part,
+        crossed=parts.crossed,
     )
     return split if part_count <= 1 else _without_dust(split, np.where(is_wall, wall_side, -1), part_count)
 
@@ -360,6 +364,7 @@ def _without_dust(split: SplitMesh, wall_side: Int64, part_count: int) -> SplitM
         triangle_sheet=split.triangle_sheet[kept],
         facing=split.facing[kept[len(kept) - len(split.facing) :]],
         triangle_part=part,
+        crossed=None,
     )
 
 

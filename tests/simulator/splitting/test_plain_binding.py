@@ -30,9 +30,9 @@ def test_vertices_near_sheets_are_asked_as_all_are(blades):
         np.testing.assert_array_equal(found, wanted, strict=True)
     parted = part(MODEL, blades, TISSUE)
     old = split.places[: len(BENT.normals)]
-    near = surface_binding._near_sheets(MODEL, parted, old)
+    near = surface_binding._near_sheets(MODEL, parted, BENT.tied)
     np.testing.assert_array_equal(near, plain_near_sheets(MODEL, parted, old), strict=True)
-    towards = surface_binding._towards_own_triangles(split, near)
+    towards = surface_binding._towards_own_triangles(split, BENT.tied, near)
     np.testing.assert_array_equal(towards, plain_towards_own_triangles(split, near), strict=True)
 
 
@@ -40,5 +40,5 @@ def test_only_vertices_near_a_small_sheet_are_asked():
     """In a box that is larger than what a sheet comes to."""
     blades = [plane(2, 0.8, low=-0.2, high=0.3)]
     parted = part(MODEL, blades, TISSUE)
-    near = surface_binding._near_sheets(MODEL, parted, BENT.mesh.places)
+    near = surface_binding._near_sheets(MODEL, parted, BENT.tied)
     assert 0 < len(near) < len(BENT.mesh.places)

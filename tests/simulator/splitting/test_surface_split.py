@@ -109,6 +109,9 @@ def test_taking_a_sheet_back_gives_the_same_bytes(surface, blades, more):
     split(surface, blades + more)
     again = split(surface, list(blades))
     for name, values in vars(before).items():
+        if values is None:
+            assert getattr(again, name) is None
+            continue
         assert values.tobytes() == getattr(again, name).tobytes(), name
     places, triangles = surface
     none = split(surface, [])
