@@ -150,17 +150,21 @@ def _see_cell(point, cell, tissue, sheets, limit, reach, place, distances, order
         if distance >= limit or _is_hidden(point, tissue.middles[cell], sheets, reach):
             return -1, np.inf
         return 0, distance
-    count = 0
-    for sample in range(_SAMPLE_COUNT):
-        if tissue.samples[row, sample] >= 0:
-            x = tissue.cells[cell, 0] + (sample % SAMPLES + 0.5) / SAMPLES - point[0]
-            y = tissue.cells[cell, 1] + (sample // SAMPLES % SAMPLES + 0.5) / SAMPLES - point[1]
-            z = tissue.cells[cell, 2] + (sample // SAMPLES**2 + 0.5) / SAMPLES - point[2]
-            distances[sample] = x * x + y * y + z * z
-            order[count] = sample
-            if count and distances[sample] < distances[order[0]]:
-                order[0], order[count] = order[count], order[0]
-            count += 1
+    samples = tissue.samples[row]
+    count, sample = 0, 0
+    for k in range(SAMPLES):
+        z = tissue.cells[cell, 2] + (k + 0.5) / SAMPLES - point[2]
+        for j in range(SAMPLES):
+            y = tissue.cells[cell, 1] + (j + 0.5) / SAMPLES - point[1]
+            for i in range(SAMPLES):
+                if samples[sample] >= 0:
+                    x = tissue.cells[cell, 0] + (i + 0.5) / SAMPLES - point[0]
+                    distances[sample] = x * x + y * y + z * z
+                    order[count] = sample
+                    if count and distances[sample] < distances[order[0]]:
+                        order[0], order[count] = order[count], order[0]
+                    count += 1
+                sample += 1
     for n in range(_TRIES):
         if n == 1:
             # Most see the nearest: only now the others are put in order.
@@ -396,8 +400,17 @@ def see_pieces(points, bits, codes, pairs, lattice, tissue, sheets, known, table
                 if piece >= 0:
                     cells[n], pieces[n], nearest = pair[at], piece, distance
             continue
+        # Its own cell is the first of those around it, where there is one.
+        x, y, z = np.floor(points[n, 0]), np.floor(points[n, 1]), np.floor(points[n, 2])
+        own = _cell_at(lattice, np.int64(x), np.int64(y), np.int64(z))
+        if own >= 0:
+            pieces[n], _ = _see_cell(points[n], own, tissue, sheets, np.inf, reach, place, distances, order)
+        if own >= 0 and pieces[n] >= 0:
+            cells[n] = own
+            continue
+        pieces[n] = 0
         count = _around(points[n], lattice, found, away)
-        for at in range(count):
+        for at in range(1 if own >= 0 else 0, count):
             piece, _ = _see_cell(points[n], found[at], tissue, sheets, np.inf, reach, place, distances, order)
             if piece >= 0:
                 cells[n], pieces[n] = found[at], piece
