@@ -153,7 +153,8 @@ def _half_outlines(parts: Arrangement) -> tuple[Int64, Int64, Bool]:
     first = np.flatnonzero(np.diff(side, prepend=-1) != 0)
     counts = np.diff(np.append(first, len(rows)))
     rank = np.arange(len(rows)) - np.repeat(first, counts)
-    is_backwards = ~parts.facet_forward.ravel()[side]
+    ahead = parts.corners[:, [1, 2, 0]].ravel()[side]
+    is_backwards = parts.corners.ravel()[side] > ahead
     rank = np.where(is_backwards, np.repeat(counts, counts) - 1 - rank, rank)
     edge = parts.facet_edges.ravel()[side]
     most = int(counts.max(initial=1))
