@@ -6,7 +6,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["found_among", "mark", "merged", "next_places", "places_around", "places_of_links", "tissue_bits"]
+__all__ = ["begun_among", "found_among", "mark", "merged", "next_places", "places_around", "places_of_links", "tissue_bits"]
 
 _ROOM = 1 << 20
 """What is added to an index in its part of a key, of 21 bits."""
@@ -125,6 +125,20 @@ def mark(keys, x, y, z, marks):
                 last, row = key, find(keys, key)
             if row >= 0:
                 marks[row, axis, link >> 42 & 7] |= 1 << ((link & 7) + 8 * (link >> 21 & 7))
+
+
+@kernel
+def begun_among(places, links):
+    """Links that begin in some places, whose keys are given, ascending; in their order."""
+    found, count, last, is_in = np.empty(len(links), np.int64), 0, -1, False
+    for link in links:
+        key = place_of(link)
+        if key != last:
+            last, is_in = key, find(places, key) >= 0
+        if is_in:
+            found[count] = link
+            count += 1
+    return found[:count].copy()
 
 
 @kernel
