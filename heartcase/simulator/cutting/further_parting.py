@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.arrays import Int64
+from heartcase.schemas.arrays import Int32, Int64
 from heartcase.simulator.cutting.bits.inheriting import changed_nodes, heaviest_nodes, inherit_nodes
 from heartcase.simulator.cutting.bits.rows import copy_numbers
 from heartcase.simulator.cutting.bits.shares import (
@@ -97,13 +97,13 @@ def part_further(
     room = uncut.spring_count + len(keys)
     springs = np.empty((room, 2), np.int32), np.empty(room, np.int8), np.empty(room, np.float32)
     spring_count = merge_near_springs(
-        (uncut.spring_nodes, uncut.spring_direction, uncut.spring_weight),
+        (_as_one(uncut.spring_nodes), uncut.spring_direction, uncut.spring_weight),
         uncut.first_springs,
         node_origin,
         node_copies,
         keys,
         weights,
-        springs,
+        (_as_one(springs[0]), *springs[1:]),
     )
     model = replace(
         uncut,
@@ -127,6 +127,12 @@ def part_further(
     origins_before = origins[:0] if before is None else before.node_origin[node_count:]
     heaviest = heaviest_nodes(mass, node_origin, origins_before, descent.node_before, node_count)
     return parted, descent, heaviest
+
+
+def _as_one(pairs: Int32) -> Int64:
+    """Both numbers of each pair as one, the first in its lower half."""
+    as_one: Int64 = pairs.reshape(-1).view("<i8")
+    return as_one
 
 
 def _descent(uncut: LatticeModel, before: PartedLattice | None, now: PartedLattice, further: Further) -> Descent:

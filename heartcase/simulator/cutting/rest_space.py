@@ -91,7 +91,8 @@ def places_at_rest(
         return places.copy(), is_open
     result = np.empty((places.size // 3, 3))
     flat, tissue = places.reshape(-1, 3), _tissue(model, displacement, parted)
-    follow_back(flat, tissue, find_near(flat, tissue, _REACH), result, is_open.reshape(-1))
+    near = find_near(flat, tissue, _REACH)
+    follow_back(flat, tissue, near, near, result, is_open.reshape(-1))
     return result.reshape(places.shape), is_open
 
 
@@ -115,9 +116,9 @@ def blade_at_rest(
     flat, tissue = points.reshape(-1, 3), _tissue(model, displacement, parted)
     near = find_near(flat, tissue, _REACH)
     result, is_open = np.empty(points.shape), np.empty(points.shape[:2], np.bool_)
-    follow_back(flat, tissue, near, result.reshape(-1, 3), is_open.reshape(-1))
+    wider = follow_back(flat, tissue, near, near, result.reshape(-1, 3), is_open.reshape(-1))
     if is_open.any():
-        draw_in(points, is_open, _AROUND, _HALVINGS, tissue, near, result)
+        draw_in(points, is_open, _AROUND, _HALVINGS, tissue, near, wider, result)
     return result
 
 

@@ -59,72 +59,65 @@ class Near(NamedTuple):
 
 
 @kernel(cached=False)
-def _solve(matrix, gap, local):
-    """Take the solution of three equations from a place; whether there is one."""
-    a, b, c = matrix[0], matrix[1], matrix[2]
-    x0, x1, x2 = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]
-    determinant = a[0] * x0 + a[1] * x1 + a[2] * x2
-    if abs(determinant) < 1e-9:
-        return False
-    y0, y1, y2 = c[1] * a[2] - c[2] * a[1], c[2] * a[0] - c[0] * a[2], c[0] * a[1] - c[1] * a[0]
-    z0, z1, z2 = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    local[0] -= (x0 * gap[0] + y0 * gap[1] + z0 * gap[2]) / determinant
-    local[1] -= (x1 * gap[0] + y1 * gap[1] + z1 * gap[2]) / determinant
-    local[2] -= (x2 * gap[0] + y2 * gap[1] + z2 * gap[2]) / determinant
-    return True
-
-
-@kernel(cached=False)
 def _local_place(point, tissue, cell, local):
     """Place in a cell from its centre at rest, and the largest of its components: inside up to one half."""
-    index, nodes, displacement, corners = (
-        tissue.cells[cell],
-        tissue.corners[cell],
-        tissue.displacement,
-        tissue.offsets,
-    )
-    local[:] = 0.0
-    matrix = np.empty((3, 3))
-    gap = np.empty(3)
+    nodes, displacement, corners = tissue.corners[cell], tissue.displacement, tissue.offsets
+    cx, cy, cz = tissue.cells[cell, 0] + 0.5, tissue.cells[cell, 1] + 0.5, tissue.cells[cell, 2] + 0.5
+    lx = ly = lz = 0.0
     for _ in range(_ROUNDS):
-        for axis in range(3):
-            gap[axis] = (index[axis] + 0.5) + local[axis] - point[axis]
-            for along in range(3):
-                matrix[axis, along] = 1.0 if axis == along else 0.0
+        gx, gy, gz = cx + lx - point[0], cy + ly - point[1], cz + lz - point[2]
+        ax = by = cw = 1.0
+        ay = az = bx = bz = cu = cv = 0.0
         for corner in range(8):
-            fx, fy, fz = (
-                0.5 + 2.0 * corners[corner, 0] * local[0],
-                0.5 + 2.0 * corners[corner, 1] * local[1],
-                0.5 + 2.0 * corners[corner, 2] * local[2],
-            )
             sx, sy, sz = 2.0 * corners[corner, 0], 2.0 * corners[corner, 1], 2.0 * corners[corner, 2]
-            for axis in range(3):
-                u = displacement[nodes[corner], axis]
-                gap[axis] += fx * fy * fz * u
-                matrix[axis, 0] += sx * fy * fz * u
-                matrix[axis, 1] += fx * sy * fz * u
-                matrix[axis, 2] += fx * fy * sz * u
-        if not _solve(matrix, gap, local):
+            fx, fy, fz = 0.5 + sx * lx, 0.5 + sy * ly, 0.5 + sz * lz
+            all_f, along_x, along_y, along_z = fx * fy * fz, sx * fy * fz, fx * sy * fz, fx * fy * sz
+            node = nodes[corner]
+            u, v, w = displacement[node, 0], displacement[node, 1], displacement[node, 2]
+            gx += all_f * u
+            gy += all_f * v
+            gz += all_f * w
+            ax += along_x * u
+            ay += along_y * u
+            az += along_z * u
+            bx += along_x * v
+            by += along_y * v
+            bz += along_z * v
+            cu += along_x * w
+            cv += along_y * w
+            cw += along_z * w
+        # Three equations.
+        x0, x1, x2 = by * cw - bz * cv, bz * cu - bx * cw, bx * cv - by * cu
+        determinant = ax * x0 + ay * x1 + az * x2
+        if abs(determinant) < 1e-9:
             return np.inf
-        if max(abs(local[0]), abs(local[1]), abs(local[2])) > 1.0:
+        y0, y1, y2 = cv * az - cw * ay, cw * ax - cu * az, cu * ay - cv * ax
+        z0, z1, z2 = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        lx -= (x0 * gx + y0 * gy + z0 * gz) / determinant
+        ly -= (x1 * gx + y1 * gy + z1 * gz) / determinant
+        lz -= (x2 * gx + y2 * gy + z2 * gz) / determinant
+        if max(abs(lx), abs(ly), abs(lz)) > 1.0:
             # Beside the cell its displacements are no guide.
             return np.inf
-    return max(abs(local[0]), abs(local[1]), abs(local[2]))
+    local[0], local[1], local[2] = lx, ly, lz
+    return max(abs(lx), abs(ly), abs(lz))
 
 
 @kernel(cached=False)
-def _away_from_tissue(local, samples, number):
+def _away_from_tissue(local, samples, number, away):
     """Distance of a place in a cell from the samples of one of its pieces along the axis where it is largest."""
+    for axis in range(3):
+        for sample in range(SAMPLES):
+            away[axis, sample] = abs(local[axis] + 0.5 - (sample + 0.5) / SAMPLES)
     least = np.inf
-    half = 0.5 / SAMPLES
-    for sample in range(len(samples)):
-        if samples[sample] != number:
+    for row in range(SAMPLES * SAMPLES):
+        beside = max(away[1, row % SAMPLES], away[2, row // SAMPLES])
+        if beside >= least:
             continue
-        x = abs(local[0] + 0.5 - (sample % SAMPLES + 0.5) / SAMPLES)
-        y = abs(local[1] + 0.5 - (sample // SAMPLES % SAMPLES + 0.5) / SAMPLES)
-        z = abs(local[2] + 0.5 - (sample // SAMPLES**2 + 0.5) / SAMPLES)
-        least = min(least, max(max(x, y, z) - half, 0.0))
-    return least
+        for sample in range(SAMPLES):
+            if samples[SAMPLES * row + sample] == number:
+                least = min(least, max(beside, away[0, sample]))
+    return max(least - 0.5 / SAMPLES, 0.0)
 
 
 @kernel(cached=False)
@@ -152,6 +145,18 @@ def _middle(tissue, cell, middle):
         middle[axis] = (tissue.cells[cell, axis] + 0.5) + total / 8.0
 
 
+@kernel(cached=False, fastmath={"nnan", "nsz"})
+def _most_moved(displacement, moved):
+    """Write the least and the largest displacement along each axis, zero among them."""
+    least_x = least_y = least_z = most_x = most_y = most_z = np.float32(0.0)
+    for node in range(len(displacement)):
+        x, y, z = displacement[node, 0], displacement[node, 1], displacement[node, 2]
+        least_x, least_y, least_z = min(least_x, x), min(least_y, y), min(least_z, z)
+        most_x, most_y, most_z = max(most_x, x), max(most_y, y), max(most_z, z)
+    moved[0, 0], moved[0, 1], moved[0, 2] = least_x, least_y, least_z
+    moved[1, 0], moved[1, 1], moved[1, 2] = most_x, most_y, most_z
+
+
 @kernel
 def find_near(points, tissue, reach):
     """The cells no further than a reach from one of some places now; and some more (:class:`Near`)."""
@@ -160,10 +165,7 @@ def find_near(points, tissue, reach):
         for axis in range(3):
             low[axis] = min(low[axis], points[point, axis] - reach)
             high[axis] = max(high[axis], points[point, axis] + reach)
-    for node in range(len(tissue.displacement)):
-        for axis in range(3):
-            way = np.float64(tissue.displacement[node, axis])
-            moved[0, axis], moved[1, axis] = min(moved[0, axis], way), max(moved[1, axis], way)
+    _most_moved(tissue.displacement, moved)
     cells, middles, count = np.empty(1024, np.int64), np.empty((1024, 3)), 0
     for cell in range(len(tissue.cells)):
         # A cell moves no further than the nodes do, but for rounding.
@@ -217,7 +219,7 @@ def _place_back(point, tissue, cells, middles, room, result):
         off = max(size - 0.5, 0.0)
         row, piece = _piece_of(tissue, cell)
         if row >= 0:
-            off = _away_from_tissue(local, tissue.samples[row], piece)
+            off = _away_from_tissue(local, tissue.samples[row], piece, room.sides)
         if off < least:
             least, is_parted, size_there = off, row >= 0, size
             for axis in range(3):
@@ -249,33 +251,36 @@ class _Room(NamedTuple):
     away: Float64
     local: Float64
     best: Float64
+    sides: Float64
 
 
 @kernel
-def follow_back(points, tissue, near, result, is_open):
+def follow_back(points, tissue, near, wider, result, is_open):
     """Write the place at rest of each point, from the cells around it, and whether it lies in no tissue.
 
-    Cells that are near all points are looked at first, in case they are enough; the result is the same whatever their
-    reach is.
+    Cells that are near all points are looked at first, in case they are enough, then those of a wider reach; the result
+    is the same whatever these are. What was looked at in the end is returned.
     """
-    room = _Room(np.empty(_CANDIDATES, np.int64), np.empty(_CANDIDATES), np.empty(3), np.empty(3))
-    every, middles = np.empty(0, np.int64), np.empty((0, 3))
+    room = _Room(
+        np.empty(_CANDIDATES, np.int64), np.empty(_CANDIDATES), np.empty(3), np.empty(3), np.empty((3, SAMPLES))
+    )
     for point in range(len(points)):
-        _find_nearest(points[point], near.middles, room.nearest, room.away)
-        # A cell beyond the box is further away than it reaches, whatever was rounded.
-        if room.away[_CANDIDATES - 1] < 0.999 * near.reach * near.reach:
-            is_open[point] = _place_back(points[point], tissue, near.cells, near.middles, room, result[point])
-            continue
-        if not len(every):
-            every, middles = np.arange(len(tissue.cells)), np.empty((len(tissue.cells), 3))
-            for cell in every:
-                _middle(tissue, cell, middles[cell])
-        _find_nearest(points[point], middles, room.nearest, room.away)
-        is_open[point] = _place_back(points[point], tissue, every, middles, room, result[point])
+        found = near
+        while True:
+            _find_nearest(points[point], found.middles, room.nearest, room.away)
+            # A cell beyond the box is further away than it reaches, whatever was rounded.
+            is_enough = room.away[_CANDIDATES - 1] < 0.999 * found.reach * found.reach
+            if is_enough or len(found.cells) == len(tissue.cells):
+                break
+            if found.reach >= wider.reach:
+                wider = find_near(points, tissue, 2.0 * found.reach + 1.0)
+            found = wider
+        is_open[point] = _place_back(points[point], tissue, found.cells, found.middles, room, result[point])
+    return wider
 
 
 @kernel
-def draw_in(points, is_open, around, halvings, tissue, near, result):
+def draw_in(points, is_open, around, halvings, tissue, near, wider, result):
     """Draw points that lie in no tissue, beside one that does, near to it until they have just left the tissue.
 
     Parameters
@@ -286,7 +291,7 @@ def draw_in(points, is_open, around, halvings, tissue, near, result):
         Steps to the poses and points beside each, the nearest first, shape (any, 2).
     halvings
         Of the way between both.
-    tissue, near
+    tissue, near, wider
         As of :func:`follow_back`.
     result
         Their places at rest; NaN is written where there is none.
@@ -312,7 +317,7 @@ def draw_in(points, is_open, around, halvings, tissue, near, result):
     found, is_beyond = np.empty((count, 3)), np.empty(count, np.bool_)
     for _ in range(halvings):
         middles = (within + outside) / 2
-        follow_back(middles, tissue, near, found, is_beyond)
+        follow_back(middles, tissue, near, wider, found, is_beyond)
         for number in range(count):
             if is_beyond[number]:
                 outside[number], at_edge[number] = middles[number], found[number]

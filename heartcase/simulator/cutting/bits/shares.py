@@ -232,6 +232,26 @@ def near_springs(rows, corners, coverage, stiffness, node_origin, node_copies, c
     return keys, weights
 
 
+@kernel(cached=False)
+def _keep(kept, start, stop, new, count):
+    """Write numbers that stay as they are."""
+    # From zero on, so that it is compiled to a plain copy.
+    source, target = kept[start:stop], new[count : count + stop - start]
+    for number in range(len(source)):
+        target[number] = source[number]
+
+
+@kernel(cached=False)
+def _add(count, at, near, model, new):
+    """Write a spring near copies, and count it."""
+    keys, weights, places, wholes = near
+    # Both nodes as one number: they are copied so much the quicker.
+    new[0][count] = keys[at, 2] << 32 | keys[at, 0]
+    new[1][count] = keys[at, 1]
+    new[2][count] = np.float32(np.float64(model[2][places[at]]) * (weights[at] / wholes[at]))
+    return count + 1
+
+
 @kernel
 def merge_near_springs(model, first, node_origin, node_copies, keys, weights, new):
     """Write the springs that stay and those near copies, scaled so that the copies of each have what it had.
@@ -239,7 +259,8 @@ def merge_near_springs(model, first, node_origin, node_copies, keys, weights, ne
     Parameters
     ----------
     model, first
-        Nodes, directions and stiffness of the uncut lattice's springs, and the first from each node.
+        Both nodes of the uncut lattice's springs as one number, the lower in its lower half, their directions and
+        stiffness; and the first from each node.
     node_origin, node_copies
         Uncut node of each node, and how many nodes each of these became.
     keys, weights
@@ -252,11 +273,8 @@ def merge_near_springs(model, first, node_origin, node_copies, keys, weights, ne
     int
         How many there are.
     """
-    nodes, directions, stiffness = model
-    new_nodes, new_directions, new_stiffness = new
     node_count = len(node_copies)
     places, wholes = np.empty(len(keys), np.int64), np.empty(len(keys))
-    # Springs that are copies of one are found by the lowest of them.
     row_of = np.full(node_count, -1, np.int32)
     table, rows = np.zeros((len(keys), 9)), 0
     for number in range(len(keys)):
@@ -266,45 +284,45 @@ def merge_near_springs(model, first, node_origin, node_copies, keys, weights, ne
             rows += 1
         table[row_of[origin], way] += weights[number]
         place = first[origin]
-        while directions[place] != way:
+        while model[1][place] != way:
             place += 1
         places[number] = place
     for number in range(len(keys)):
         wholes[number] = table[row_of[node_origin[keys[number, 0]]], keys[number, 1]]
+    near, (nodes, directions, stiffness), (new_nodes, new_directions, new_stiffness) = (
+        (keys, weights, places, wholes),
+        model,
+        new,
+    )
     count, at, done = 0, 0, 0
     for node in range(node_count):
         if node_copies[node] == 1 and not (at < len(keys) and keys[at, 0] == node):
             continue
         # All from nodes between stay as they are.
         start = first[node]
-        new_nodes[count : count + start - done] = nodes[done:start]
-        new_directions[count : count + start - done] = directions[done:start]
-        new_stiffness[count : count + start - done] = stiffness[done:start]
+        _keep(nodes, done, start, new_nodes, count)
+        _keep(directions, done, start, new_directions, count)
+        _keep(stiffness, done, start, new_stiffness, count)
         count += start - done
         done = first[node + 1]
-        for spring in range(start, done + 1):
-            is_last = spring == done
-            if not is_last and (node_copies[node] > 1 or node_copies[nodes[spring, 1]] > 1):
+        for spring in range(start, done):
+            if node_copies[node] > 1 or node_copies[nodes[spring] >> 32] > 1:
                 continue
-            while at < len(keys) and keys[at, 0] == node and (is_last or keys[at, 1] < directions[spring]):
-                new_nodes[count, 0], new_nodes[count, 1] = keys[at, 0], keys[at, 2]
-                new_directions[count] = keys[at, 1]
-                new_stiffness[count] = np.float32(np.float64(stiffness[places[at]]) * (weights[at] / wholes[at]))
+            while at < len(keys) and keys[at, 0] == node and keys[at, 1] < directions[spring]:
+                count = _add(count, at, near, model, new)
                 at += 1
-                count += 1
-            if not is_last:
-                new_nodes[count] = nodes[spring]
-                new_directions[count], new_stiffness[count] = directions[spring], stiffness[spring]
-                count += 1
-    rest = len(nodes) - done
-    new_nodes[count : count + rest] = nodes[done:]
-    new_directions[count : count + rest] = directions[done:]
-    new_stiffness[count : count + rest] = stiffness[done:]
-    count += rest
+            new_nodes[count], new_directions[count] = nodes[spring], directions[spring]
+            new_stiffness[count] = stiffness[spring]
+            count += 1
+        while at < len(keys) and keys[at, 0] == node:
+            count = _add(count, at, near, model, new)
+            at += 1
+    start = len(nodes)
+    _keep(nodes, done, start, new_nodes, count)
+    _keep(directions, done, start, new_directions, count)
+    _keep(stiffness, done, start, new_stiffness, count)
+    count += start - done
     while at < len(keys):
-        new_nodes[count, 0], new_nodes[count, 1] = keys[at, 0], keys[at, 2]
-        new_directions[count] = keys[at, 1]
-        new_stiffness[count] = np.float32(np.float64(stiffness[places[at]]) * (weights[at] / wholes[at]))
+        count = _add(count, at, near, model, new)
         at += 1
-        count += 1
     return count
