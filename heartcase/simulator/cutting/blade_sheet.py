@@ -147,9 +147,7 @@ def _swept_in_parts(points: Float64) -> Sheet:
     if len(flat) == len(sheet.triangles):
         sheet = replace(sheet, flat=flat)
     longer = np.concatenate([_continued(points[:2], 0)[:1], points, _continued(points[-2:], 0)[1:]])
-    ahead = np.concatenate(
-        [_continued(longer[:, :2], 1)[:, :1], longer, _continued(longer[:, -2:], 1)[:, 1:]], axis=1
-    )
+    ahead = np.concatenate([_continued(longer[:, :2], 1)[:, :1], longer, _continued(longer[:, -2:], 1)[:, 1:]], axis=1)
     strips = (ahead[:2], ahead[-2:], ahead[:, :2], ahead[:, -2:])
     beyond = [Sheet.of_triangles(_triangles(strip)).triangles for strip in strips]
     return replace(sheet, beyond=np.concatenate(beyond))

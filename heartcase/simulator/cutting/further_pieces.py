@@ -102,24 +102,16 @@ def find_further(
     cell_rows = found_among(_cells_at(keys, cell_keys, by_key), cells)
     place_rows = np.full(len(cells), -1)
     place_rows[cell_rows[cell_rows >= 0]] = np.flatnonzero(cell_rows >= 0)
-    labels = label_places(known.places, of_known, is_changed, bits, crossed, beyond, cell_rows)
-    closed, first_piece = labels[:2]
+    closed, first_piece, pieces, first_space, spaces = label_places(
+        known.places, of_known, is_changed, bits, crossed, beyond, cell_rows
+    )
     next_place = next_places(keys)
-    stems = find_stems(
-        known.places, of_known, is_changed, bits, crossed, closed, cell_rows, first_piece, next_place
-    )
-    places = Places(keys, cell_rows, crossed, beyond, *labels, stems)
+    stems = find_stems(known.places, of_known, is_changed, bits, crossed, closed, cell_rows, first_piece, next_place)
+    places = Places(keys, cell_rows, crossed, beyond, closed, first_piece, pieces, first_space, spaces, stems)
     around = Around(cells, bits, place_rows, np.zeros(1, np.int64), np.zeros((0, 8), np.int32))
-    near_rows = found_among(near, keys), found_among(cells_near, cells)
-    around = around._replace(
-        **dict(
-            zip(
-                ("first", "copies"),
-                share_nodes(places, known.around, cell_of_known, is_changed, around, near, *near_rows),
-                strict=True,
-            )
-        )
-    )
+    near_rows, near_cells = found_among(near, keys), found_among(cells_near, cells)
+    first_of, shared = share_nodes(places, known.around, cell_of_known, is_changed, around, near, near_rows, near_cells)
+    around = around._replace(first=first_of, copies=shared)
     stemmed = with_stems(places, around, next_place, _NEAREST)
 
     counts, copies, node_copies = number_pieces(around, stemmed, model.cell_corners, model.node_count)

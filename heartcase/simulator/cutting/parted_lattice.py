@@ -27,6 +27,7 @@ from heartcase.simulator.lattice.state import State
 
 __all__ = ["PartedLattice", "links_together", "part"]
 
+
 @dataclass(frozen=True)
 class PartedLattice:
     """A lattice that was cut, and what it was made of."""

@@ -160,7 +160,11 @@ def triangles_of(points, quanta, furthest, longest):
 def _continued(first, second, beyond, before, after):
     """Write what two rows of points are moved apart to, along the lines through both."""
     for point in range(len(first)):
-        x, y, z = second[point, 0] - first[point, 0], second[point, 1] - first[point, 1], second[point, 2] - first[point, 2]
+        x, y, z = (
+            second[point, 0] - first[point, 0],
+            second[point, 1] - first[point, 1],
+            second[point, 2] - first[point, 2],
+        )
         length = np.sqrt(x * x + y * y + z * z)
         for axis in range(3):
             way = second[point, axis] - first[point, axis]

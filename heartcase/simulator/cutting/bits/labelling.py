@@ -212,7 +212,7 @@ def _write_away(links, only_axis, is_on_face, shift, squares):
 def _nearer(tissue, from_stem, from_cut, stem):
     """Write which tissue is nearer to one than to the other."""
     for k in range(8):
-        bits = 0
+        bits = np.int64(0)
         for at in range(64):
             bits |= np.int64(from_stem[64 * k + at] < from_cut[64 * k + at]) << at
         stem[k] = bits & tissue[k]

@@ -9,6 +9,7 @@ from heartcase.simulator.cutting.bits.sample_bits import ones
 
 __all__ = ["cell_of", "copy_numbers", "is_as_before", "number_pieces", "set_of", "write_samples"]
 
+
 @kernel(cached=False)
 def set_of(around, stemmed, cell, piece):
     """Samples of one of a cell's pieces."""

@@ -59,10 +59,10 @@ def count(samples):
 @kernel(cached=False)
 def is_any(samples):
     """Whether there is one."""
+    found = 0
     for k in range(8):
-        if samples[k] != 0:
-            return True
-    return False
+        found |= samples[k]
+    return found != 0
 
 
 @kernel(cached=False)
@@ -143,10 +143,10 @@ def is_on_last(links, axis):
     if axis == 2:
         return links[7] != 0
     across = ~NOT_LAST_COLUMN if axis == 0 else ~NOT_LAST_ROW
+    found = 0
     for k in range(8):
-        if links[k] & across:
-            return True
-    return False
+        found |= links[k] & across
+    return found != 0
 
 
 @kernel(cached=False)
@@ -155,7 +155,7 @@ def meets_across(one, other, closed, axis):
     if axis == 2:
         return (one[7] & other[0] & ~closed[7]) != 0
     shift, first = (7, FIRST_COLUMN) if axis == 0 else (56, 0xFF)
+    found = 0
     for k in range(8):
-        if ((one[k] & ~closed[k]) >> shift) & first & other[k]:
-            return True
-    return False
+        found |= ((one[k] & ~closed[k]) >> shift) & first & other[k]
+    return found != 0

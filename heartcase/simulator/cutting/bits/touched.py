@@ -6,7 +6,16 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["begun_among", "found_among", "mark", "merged", "next_places", "places_around", "places_of_links", "tissue_bits"]
+__all__ = [
+    "begun_among",
+    "found_among",
+    "mark",
+    "merged",
+    "next_places",
+    "places_around",
+    "places_of_links",
+    "tissue_bits",
+]
 
 _ROOM = 1 << 20
 """What is added to an index in its part of a key, of 21 bits."""
