@@ -187,8 +187,12 @@ class MovingTissue:
         """Compile what a cut needs, so that the first is as quick as the rest; nothing changes."""
         middle = self.model.node_index[self.model.cell_corners[0]].mean(axis=0)
         points = middle + 0.4 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
-        blade_at_rest(self.model, np.ones((self.model.node_count, 3), np.float32), points)
-        self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points)
+        # Where it meets no tissue, and as a second sheet, too.
+        moved = np.ones((self.model.node_count, 3), np.float32)
+        for there in (points, points + 1e3):
+            blade_at_rest(self.model, moved, there, None if self.cuts is None else self.cuts.parted)
+        made = self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points)
+        self._cut_tissue(made.model, made.cuts, points)
 
     def rest_poses_mm(self, poses_mm: Poses, *, name: str = "blade") -> Float64:
         """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
