@@ -56,7 +56,8 @@ def cut_tissue(
     cuttable: CuttableSurface | None,
     has_picking: bool,
     backend: Backend,
-    before: Engine | None = None,
+    split_before: SplitSurface | None = None,
+    engine_before: Engine | None = None,
 ) -> CutTissue:
     """Cut a lattice further, with all that follows it.
 
@@ -70,7 +71,9 @@ def cut_tissue(
         Whether the one-to-one surface is wanted.
     backend
         What moves it.
-    before
+    split_before
+        What was split for the cuts until now, from which the surface goes on.
+    engine_before
         What moves the lattice now, where there is that.
 
     Raises
@@ -82,10 +85,10 @@ def cut_tissue(
     split, engine = None, None
     # What moves the lattice and what shows it do not wait for one another. A device belongs to the thread that talks to
     # it.
-    moving = None if backend == "cuda" else _begin(lambda: make_engine(left, backend, before))
+    moving = None if backend == "cuda" else _begin(lambda: make_engine(left, backend, engine_before))
     try:
         if cuttable is not None and further.parted is not None:
-            split = split_surface(cuttable, further.parted, further.sheets)
+            split = split_surface(cuttable, further.parted, further.sheets, split_before)
         picking = cut_picking(without_loose_nodes(left)) if has_picking else None
     finally:
         if moving is not None:

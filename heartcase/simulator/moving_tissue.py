@@ -78,6 +78,7 @@ class MovingTissue:
         self.cuts: Cuts | None = None
         self._cuttable: CuttableSurface | None = None
         self._splits: list[tuple[Cuts, SplitSurface]] = []
+        self._split_ahead: tuple[tuple[Cuts, SplitSurface], ...] = ()
         self._ahead = CutsAhead()
         self._rate_limit: tuple[LatticeModel, float] | None = None
         self._inverse_mass = model.inverse_mass
@@ -186,8 +187,12 @@ class MovingTissue:
         """Compile what a cut needs, so that the first is as quick as the rest; nothing changes."""
         middle = self.model.node_index[self.model.cell_corners[0]].mean(axis=0)
         points = middle + 0.4 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
-        blade_at_rest(self.model, np.ones((self.model.node_count, 3), np.float32), points)
-        self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points, None)
+        # Where it meets no tissue, and as a second sheet, too.
+        moved = np.ones((self.model.node_count, 3), np.float32)
+        for there in (points, points + 1e3):
+            blade_at_rest(self.model, moved, there, None if self.cuts is None else self.cuts.parted)
+        made = self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points, None)
+        self._cut_tissue(made.model, made.cuts, points, made.engine)
 
     def rest_poses_mm(self, poses_mm: Poses, *, name: str = "blade") -> Float64:
         """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
@@ -358,17 +363,21 @@ class MovingTissue:
         self._inverse_mass, self._engine = model.inverse_mass, engine
         self._surfaces = self._make_surfaces()
 
-    def _cut_tissue(self, model: LatticeModel, cuts: Cuts, points: Float64, before: Engine | None) -> CutTissue:
-        """What one more cut leaves of some lattice, of which so much was cut."""
-        return cut_tissue(
+    def _cut_tissue(self, model: LatticeModel, cuts: Cuts, points: Float64, engine_before: Engine | None) -> CutTissue:
+        """What one more cut leaves of some lattice, of which so much was cut, and which an engine moves."""
+        before = next((split for known, split in (*self._splits, *self._split_ahead) if known is cuts), None)
+        made = cut_tissue(
             model,
             cuts,
             points,
             cuttable=self._prepare_split(cuts),
             has_picking=self._whole_picking is not None,
             backend=self.backend,
-            before=before,
+            split_before=before,
+            engine_before=engine_before,
         )
+        self._split_ahead = () if made.split is None else ((made.cuts, made.split),)
+        return made
 
     def _prepare_split(self, cuts: Cuts) -> CuttableSurface | None:
         """The surface over the uncut lattice, where there is one."""
@@ -384,7 +393,11 @@ class MovingTissue:
         for known, split in self._splits:
             if known is cuts:
                 return split
-        split = split_surface(cuttable, cuts.parted, cuts.sheets) if made is None else made
+        if made is None:
+            before = self._splits[-1][1] if self._splits else None
+            split = split_surface(cuttable, cuts.parted, cuts.sheets, before)
+        else:
+            split = made
         self._splits = [*self._splits[1 - _SPLITS_KEPT :], (cuts, split)]
         return split
 

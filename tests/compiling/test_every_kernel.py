@@ -145,7 +145,12 @@ def test_a_cut_parts_the_lattice(case):
     assert split.triangle_part.max() > 0
     # What only sheets in one place, or inside the tissue, ask.
     assert directions_of(cuttable.mesh.vertices[:2]).shape == (2, 3)
-    assert not is_inside(cuttable.mesh.vertices, cuttable.mesh.triangles, cuttable.mesh.vertices.min(axis=0) - 1)
+    assert not is_inside(
+        cuttable.mesh.vertices,
+        cuttable.mesh.triangles,
+        cuttable.mesh.buckets,
+        cuttable.mesh.vertices.min(axis=0) - 1,
+    )
 
 
 def test_moving_tissue_is_cut(case):

@@ -20,7 +20,9 @@ from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.base import Vector3
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES, cross
+from heartcase.simulator.cutting.bits.touched import begun_among, places_of_links
+from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES, crossing_keys
+from heartcase.simulator.cutting.sheet_kernels import refine, step_lengths, strips_beyond, triangles_of
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["Links", "Poses", "Sheet", "blade_points", "checked_poses", "crossed_links", "key_indices", "touched_places"]
@@ -75,8 +77,8 @@ class Sheet:
     @cached_property
     def links_beyond(self) -> Links:
         """Links that its continuation crosses in the cells that the sheet itself comes to, ascending."""
-        touched = touched_places(self.links)
-        x, y, z = (keys[np.isin(lattice_keys(key_indices(keys) // SAMPLES), touched)] for keys in _crossed(self.beyond))
+        touched = places_of_links(*self.links)
+        x, y, z = (begun_among(touched, keys) for keys in _crossed(self.beyond))
         return x, y, z
 
     @classmethod
@@ -96,19 +98,14 @@ class Sheet:
             Too few poses or points, numbers that are not finite, or a sheet that reaches too far.
         """
         points = checked_poses(poses, "blade", may_be_open=True)
-        cls.of_triangles(_triangles(points))  # refuses what is too far away
-        fine, places = _refined(points)
-        both = _triangles(np.concatenate([fine, places], axis=-1))
-        sheet, flat = cls.of_triangles(both[..., :3]), both[..., 3:5]
-        if len(flat) == len(sheet.triangles):
-            sheet = replace(sheet, flat=flat)
-        longer = np.concatenate([_continued(points[:2], 0)[:1], points, _continued(points[-2:], 0)[1:]])
-        ahead = np.concatenate(
-            [_continued(longer[:, :2], 1)[:, :1], longer, _continued(longer[:, -2:], 1)[:, 1:]], axis=1
-        )
-        strips = (ahead[:2], ahead[-2:], ahead[:, :2], ahead[:, -2:])
-        beyond = [cls.of_triangles(_triangles(strip)).triangles for strip in strips]
-        return replace(sheet, beyond=np.concatenate(beyond))
+        limits = QUANTA, _FURTHEST, _LONGEST
+        ways = step_lengths(points)
+        places = [np.append(0.0, np.cumsum(_mean(way, axis=1 - axis))) for axis, way in enumerate(ways)]
+        triangles, flat, is_near = triangles_of(refine(points, *ways, *places, _FINE, _FAR), *limits)
+        parts = [triangles_of(strip, *limits) for strip in strips_beyond(points, _BEYOND)]
+        if is_near and all(part[2] for part in parts):
+            return cls(triangles, np.concatenate([part[0] for part in parts]), flat)
+        return _swept_in_parts(points)
 
     @classmethod
     def of_triangles(cls, triangles: npt.ArrayLike) -> Sheet:
@@ -136,9 +133,24 @@ def crossed_links(triangles: Int64, axis: int) -> Int64:
         The key (:func:`heartcase.schemas.bundle.lattice.lattice_keys`) of each link's lower sample. Sample (i, j, k)
         lies (i + 1/2) / SAMPLES cells along x, and so on. int64, shape (count,).
     """
-    links = np.empty((cross(triangles, axis, np.empty((0, 3), np.int64)), 3), np.int64)
-    cross(triangles, axis, links)
-    return np.sort(lattice_keys(links))
+    links: Int64 = crossing_keys(triangles, axis)
+    links.sort()
+    return links
+
+
+def _swept_in_parts(points: Float64) -> Sheet:
+    """What a polyline sweeps, where triangles must be divided or are too far away; else the same."""
+    Sheet.of_triangles(_triangles(points))  # refuses what is too far away
+    fine, places = _refined(points)
+    both = _triangles(np.concatenate([fine, places], axis=-1))
+    sheet, flat = Sheet.of_triangles(both[..., :3]), both[..., 3:5]
+    if len(flat) == len(sheet.triangles):
+        sheet = replace(sheet, flat=flat)
+    longer = np.concatenate([_continued(points[:2], 0)[:1], points, _continued(points[-2:], 0)[1:]])
+    ahead = np.concatenate([_continued(longer[:, :2], 1)[:, :1], longer, _continued(longer[:, -2:], 1)[:, 1:]], axis=1)
+    strips = (ahead[:2], ahead[-2:], ahead[:, :2], ahead[:, -2:])
+    beyond = [Sheet.of_triangles(_triangles(strip)).triangles for strip in strips]
+    return replace(sheet, beyond=np.concatenate(beyond))
 
 
 def _crossed(triangles: Int64) -> Links:

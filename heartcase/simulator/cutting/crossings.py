@@ -6,9 +6,11 @@ A sample that lies on a triangle counts as moved by less than any number, first 
 
 from __future__ import annotations
 
+import numpy as np
+
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["QUANTA", "SAMPLES", "cross"]
+__all__ = ["QUANTA", "SAMPLES", "crossing_keys"]
 
 SAMPLES = 8
 """Samples along each edge of a cell."""
@@ -16,6 +18,7 @@ QUANTA = 4096
 """Whole numbers along each edge of a cell."""
 _PITCH = QUANTA // SAMPLES
 _FIRST = _PITCH // 2
+_OFFSET = 1 << 20
 
 
 @kernel(cached=False)
@@ -82,26 +85,58 @@ def _link(triangle, axis, at_b, at_c):
     return number
 
 
-@kernel
-def cross(triangles, axis, links):
-    """Count how often triangles, shape (count, 3, 3), cross lines of samples along an axis.
+@kernel(cached=False)
+def _reach(triangle, b, c, at_b):
+    """Least and largest number along one axis of a triangle where it is met by a line along the other."""
+    low, high = triangle[:, c].max(), triangle[:, c].min()
+    for corner in range(3):
+        p, q = triangle[corner], triangle[(corner + 1) % 3]
+        if p[b] > q[b]:
+            p, q = q, p
+        if not p[b] <= at_b <= q[b]:
+            continue
+        if p[b] == q[b]:
+            low, high = min(low, p[c], q[c]), max(high, p[c], q[c])
+            continue
+        there = p[c] + (at_b - p[b]) * (q[c] - p[c]) // (q[b] - p[b])
+        low, high = min(low, there), max(high, there + 1)
+    return low - 1, high + 1
 
-    The lower sample (i, j, k) of each link that is crossed is written as long as there is room, shape (any, 3).
+
+@kernel
+def crossing_keys(triangles, axis):
+    """Links between samples along an axis that triangles cross, as often as they do, in no order.
+
+    Parameters
+    ----------
+    triangles
+        Corners, shape (count, 3, 3).
+    axis
+        0, 1 or 2.
+
+    Returns
+    -------
+    ndarray
+        The key (:func:`heartcase.schemas.bundle.lattice.lattice_keys`) of each link's lower sample, int64.
     """
     b, c = (axis + 1) % 3, (axis + 2) % 3
-    count = 0
+    keys, count = np.empty(256 + 64 * len(triangles), np.int64), 0
     for number in range(len(triangles)):
         triangle = triangles[number]
         facing = _sign(_normal(triangle, axis), 0, 0)
         if facing == 0:
             continue
         for line_b in range(_first_line(triangle[:, b].min()), _last_line(triangle[:, b].max()) + 1):
-            for line_c in range(_first_line(triangle[:, c].min()), _last_line(triangle[:, c].max()) + 1):
-                at_b, at_c = _FIRST + _PITCH * line_b, _FIRST + _PITCH * line_c
+            at_b = _FIRST + _PITCH * line_b
+            low, high = _reach(triangle, b, c, at_b)
+            for line_c in range(_first_line(low), _last_line(high) + 1):
+                at_c = _FIRST + _PITCH * line_c
                 if not _meets(triangle, b, c, facing, at_b, at_c):
                     continue
-                if count < len(links):
-                    links[count, axis] = _link(triangle, axis, at_b, at_c)
-                    links[count, b], links[count, c] = line_b, line_c
+                if count == len(keys):
+                    keys = np.append(keys, np.empty(count, np.int64))
+                link = (_link(triangle, axis, at_b, at_c) + _OFFSET) << 21 * axis
+                link |= (line_b + _OFFSET) << 21 * b | (line_c + _OFFSET) << 21 * c
+                keys[count] = link
                 count += 1
-    return count
+    return keys[:count].copy()

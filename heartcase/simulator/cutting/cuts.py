@@ -10,6 +10,7 @@ from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.descent import Descent, descent_of, nodes_now
+from heartcase.simulator.cutting.further_parting import part_further
 from heartcase.simulator.cutting.parted_lattice import PartedLattice, part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
@@ -88,6 +89,13 @@ class Cuts:
             Springs of the lattice were removed.
         """
         sheets = (*self.sheets, sheet)
+        if not self.uncut.cell_is_whole.all():
+            raise SimulationError("springs of this lattice were removed: cut it by sheets only", place="cut")
+        if self.parted is not None or not self.sheets:
+            made = part_further(self.uncut, self.tissue, self.parted, sheet)
+            if made is not None:
+                further, descent, now = made
+                return replace(self, sheets=sheets, parted=further), Step(descent, now)
         parted = part(self.uncut, sheets, self.tissue)
         descent = descent_of(self.uncut, self.parted, parted)
         step = Step(descent, nodes_now(self.uncut, self.parted, parted, descent.node_before))

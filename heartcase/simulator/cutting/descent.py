@@ -63,7 +63,7 @@ def descent_of(uncut: LatticeModel, before: PartedLattice | None, now: PartedLat
     mass /= np.bincount(new, size)[new]
     masses = np.bincount(number, np.repeat(mass, 8)[asks])[is_mixed]
     mixed = node[is_mixed]
-    share = masses / np.bincount(mixed, masses)[mixed] if len(mixed) else masses
+    share = masses / np.bincount(mixed, masses)[mixed] if len(mixed) else np.zeros(0)
     return Descent(result, mixed, choice[is_mixed], share)
 
 

@@ -9,7 +9,7 @@ a cell's frequency does not depend on its coverage, the time step stays as long 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,18 +17,15 @@ import numpy as np
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int8, Int32, Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Links, Sheet
-from heartcase.simulator.cutting.crossings import SAMPLES
+from heartcase.simulator.cutting.further_pieces import FoundPieces
 from heartcase.simulator.cutting.parting_kernels import add_up_samples, merge_springs, spring_places
 from heartcase.simulator.cutting.piece_frequency import bounded_moments
 from heartcase.simulator.cutting.pieces import Pieces, find_pieces
-from heartcase.simulator.cutting.tissue_samples import SAMPLE_PLACES, TissueSamples
+from heartcase.simulator.cutting.tissue_samples import SAMPLE_PLACES, SAMPLE_VARIANCE, TissueSamples
 from heartcase.simulator.lattice.model import CELL_SPRINGS, LatticeModel
 from heartcase.simulator.lattice.state import State
 
 __all__ = ["PartedLattice", "links_together", "part"]
-
-_SAMPLE_VARIANCE = 1.0 / 12.0 / SAMPLES**2
-"""Of the tissue that a sample stands for, along each axis [edges squared]."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +40,8 @@ class PartedLattice:
     """Cell of the uncut lattice that each cell is, or is a piece of, shape (cell_count,)."""
     pieces: Pieces
     """Pieces of the uncut cells around the sheets."""
+    found: FoundPieces | None = field(default=None, repr=False, compare=False)
+    """What a further sheet goes on from; None where all was done at once."""
 
     def carried(self, state: State) -> State:
         """A state of the uncut lattice: copies lie, and go, where their node does."""
@@ -161,7 +160,7 @@ def _shares(model: LatticeModel, pieces: Pieces) -> tuple[Float32, Float64]:
     """Coverage and moments of each piece: those of its cell, shared out as its samples are."""
     piece_count = int(pieces.counts.sum())
     sizes, sums = np.zeros(piece_count, np.int64), np.zeros((piece_count, 9))
-    add_up_samples(pieces.samples, pieces.first, SAMPLE_PLACES, _SAMPLE_VARIANCE, sizes, sums)
+    add_up_samples(pieces.samples, pieces.first, SAMPLE_PLACES, SAMPLE_VARIANCE, sizes, sums)
     of_cell = np.repeat(np.arange(len(pieces.cells)), pieces.counts)
     cell_sizes = np.bincount(of_cell, sizes, minlength=len(pieces.cells))
     cell_sums = np.stack([np.bincount(of_cell, column, minlength=len(pieces.cells)) for column in sums.T], axis=1)
@@ -175,7 +174,7 @@ def _shares(model: LatticeModel, pieces: Pieces) -> tuple[Float32, Float64]:
 def _possible(moments: Float64) -> Float64:
     """Moments of tissue that lies in its cell and has a shape."""
     first = np.clip(moments[:, :3], -0.5, 0.5)
-    second = np.clip(moments[:, 3:6], first**2 + _SAMPLE_VARIANCE, 0.5)
+    second = np.clip(moments[:, 3:6], first**2 + SAMPLE_VARIANCE, 0.5)
     return np.concatenate([first, second, np.clip(moments[:, 6:], -0.5, 0.5)], axis=1)
 
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.crossings import SAMPLES
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
-from heartcase.simulator.cutting.rest_space_kernels import Tissue, follow_back
+from heartcase.simulator.cutting.rest_space_kernels import Tissue, draw_in, find_near, follow_back
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["PLACES_MAX", "blade_at_rest", "places_at_rest", "refined"]
@@ -26,10 +26,12 @@ _REACH = 4.0
 """How far around a blade cells are looked for at first [cells]."""
 _SPACING = 0.5
 """Distance between the places of a blade that are followed back to rest [cells]."""
-_AROUND = ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))
+_AROUND: Int64 = np.array([(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1)])
 """Poses and points beside one another, the nearest first."""
 _HALVINGS = 4
 """Of the way between a point in tissue and one beside it in none."""
+_CORNERS: Float64 = (CORNER_OFFSETS - 0.5).astype(np.float64)
+"""Of a cell from its centre, shape (8, 3)."""
 
 
 def refined(poses: Float64, name: str = "blade") -> Float64:
@@ -88,10 +90,9 @@ def places_at_rest(
     if not displacement.any():
         return places.copy(), is_open
     result = np.empty((places.size // 3, 3))
-    corners = (CORNER_OFFSETS - 0.5).astype(np.float64)
-    middles = model.cells.astype(np.float64) + 0.5
-    tissue = Tissue(middles, model.cell_corners, displacement, corners, *_parted_cells(model, parted))
-    follow_back(places.reshape(-1, 3), tissue, _REACH, result, is_open.reshape(-1))
+    flat, tissue = places.reshape(-1, 3), _tissue(model, displacement, parted)
+    near = find_near(flat, tissue, _REACH)
+    follow_back(flat, tissue, near, near, result, is_open.reshape(-1))
     return result.reshape(places.shape), is_open
 
 
@@ -110,42 +111,21 @@ def blade_at_rest(
     points
         Places now [cells, frame of the nodes], shape (pose_count, point_count, 3).
     """
-    rest, is_open = places_at_rest(model, displacement, points, parted)
-    if not is_open.any():
-        return rest
-    meets = np.pad(~is_open, 1)
-    around = np.pad(points, ((1, 1), (1, 1), (0, 0)))
-    rows, columns = is_open.shape
-    is_edge, inner = np.zeros_like(is_open), np.zeros_like(points)
-    for row, column in _AROUND:
-        here = (slice(1 + row, 1 + row + rows), slice(1 + column, 1 + column + columns))
-        is_beside = is_open & ~is_edge & meets[here]
-        inner[is_beside] = around[here][is_beside]
-        is_edge |= is_beside
-    within, outside = inner[is_edge], points[is_edge]
-    at_edge = rest[is_edge]
-    for _ in range(_HALVINGS):
-        middle = (within + outside) / 2
-        found, beyond = places_at_rest(model, displacement, middle, parted)
-        within = np.where(beyond[:, None], within, middle)
-        outside = np.where(beyond[:, None], middle, outside)
-        at_edge = np.where(beyond[:, None], found, at_edge)
-    rest[is_open] = np.nan
-    rest[is_edge] = at_edge
-    return rest
+    if not displacement.any():
+        return points.copy()
+    flat, tissue = points.reshape(-1, 3), _tissue(model, displacement, parted)
+    near = find_near(flat, tissue, _REACH)
+    result, is_open = np.empty(points.shape), np.empty(points.shape[:2], np.bool_)
+    wider = follow_back(flat, tissue, near, near, result.reshape(-1, 3), is_open.reshape(-1))
+    if is_open.any():
+        draw_in(points, is_open, _AROUND, _HALVINGS, tissue, near, wider, result)
+    return result
 
 
-def _parted_cells(model: LatticeModel, parted: PartedLattice | None) -> tuple[Int64, Int64, Int32]:
-    """Place among the cells that were parted of each cell, its piece's number there, and their samples."""
-    place, number = np.full(model.cell_count, -1), np.zeros(model.cell_count, np.int64)
-    if parted is None:
-        return place, number, np.zeros((0, SAMPLES**3), np.int32)
-    pieces = parted.pieces
-    several = np.flatnonzero(pieces.counts > 1)
-    further = pieces.counts[several] - 1
-    place[pieces.cells[several]] = np.arange(len(several))
-    # The first piece has the number of its cell; those of further pieces follow all uncut cells.
-    after = model.cell_count - int(further.sum())
-    place[after:] = np.repeat(np.arange(len(several)), further)
-    number[after:] = 1 + np.arange(further.sum()) - np.repeat(np.cumsum(further) - further, further)
-    return place, number, pieces.samples[several]
+def _tissue(model: LatticeModel, displacement: Float32, parted: PartedLattice | None) -> Tissue:
+    none = np.zeros(0, np.int64)
+    pieces = (np.zeros(0, np.int32), none, none, none, np.zeros((0, SAMPLES**3), np.int32))
+    if parted is not None:
+        found = parted.pieces
+        pieces = (parted.cell_origin, found.cells, found.counts, found.first, found.samples)
+    return Tissue(model.cells, model.cell_corners, displacement, _CORNERS, *pieces)

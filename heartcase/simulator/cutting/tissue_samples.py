@@ -10,16 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
+from heartcase.simulator.cutting.bits.touched import tissue_bits
 from heartcase.simulator.cutting.blade_sheet import crossed_links
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES
 from heartcase.simulator.cutting.parting_kernels import tissue_in_cells
 
-__all__ = ["SAMPLE_PLACES", "TissueSamples", "samples_of"]
+__all__ = ["SAMPLE_PLACES", "SAMPLE_VARIANCE", "TissueSamples", "samples_of"]
 
 _INDICES: Int64 = np.stack(np.meshgrid(*[np.arange(SAMPLES)] * 3, indexing="ij"), axis=-1)[..., ::-1].reshape(-1, 3)
 """Index (i, j, k) of each sample in its cell, by k, j, i, shape (SAMPLES^3, 3)."""
 SAMPLE_PLACES: Float64 = (_INDICES + 0.5) / SAMPLES - 0.5
 """Where the samples of a cell lie, from its centre [edges], by k, j, i, shape (SAMPLES^3, 3)."""
+SAMPLE_VARIANCE = 1.0 / 12.0 / SAMPLES**2
+"""Of the tissue that a sample stands for, along each axis [edges squared]."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +71,25 @@ class TissueSamples:
         is_tissue = np.empty((len(cells), SAMPLES**3), np.bool_)
         tissue_in_cells(self.entries, cells, is_tissue)
         empty = np.flatnonzero(~is_tissue.any(axis=1))
-        away = SAMPLE_PLACES - np.asarray(moments, dtype=np.float64)[empty, None, :3]
-        is_tissue[empty, (away**2).sum(axis=2).argmin(axis=1)] = True
+        is_tissue[empty, _nearest_samples(moments, empty)] = True
         return is_tissue
+
+    def bits_of(self, cells: Int32, moments: npt.ArrayLike) -> Int64:
+        """The same as bits, shape (count, SAMPLES): :mod:`heartcase.simulator.cutting.bits.sample_bits`."""
+        bits = np.full((len(cells), SAMPLES), -1, np.int64)
+        if self.entries is not None and len(cells):
+            tissue_bits(self.entries, cells, bits)
+            empty = np.flatnonzero(~bits.any(axis=1))
+            layer, place = np.divmod(_nearest_samples(moments, empty), SAMPLES**2)
+            bits[empty, layer] = np.left_shift(1, place)
+        return bits
+
+
+def _nearest_samples(moments: npt.ArrayLike, cells: Int64) -> Int64:
+    """Samples nearest to the middle of the tissue in some of all cells, shape (count,)."""
+    away = SAMPLE_PLACES - np.asarray(moments, dtype=np.float64)[cells, None, :3]
+    nearest: Int64 = (away**2).sum(axis=2).argmin(axis=1)
+    return nearest
 
 
 def samples_of(cells: npt.ArrayLike) -> Int64:

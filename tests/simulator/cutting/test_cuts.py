@@ -15,11 +15,12 @@ from heartcase.simulator.cutting.blade_sheet import Sheet, key_indices
 from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.cutting.descent import cells_of_samples
 from heartcase.simulator.cutting.rest_space import blade_at_rest, places_at_rest, refined
-from heartcase.simulator.cutting.rest_space_kernels import Tissue, follow_back
+from heartcase.simulator.cutting.rest_space_kernels import Tissue, find_near, follow_back
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
+from tests.simulator.cutting.plain_rest import plain_blade_at_rest
 from tests.simulator.lattices import block, oblique_geometry, random_field
 
 LAWS = [ForceLaw(), ForceLaw("springs", 0.45), ForceLaw("element", 0.45)]
@@ -277,16 +278,19 @@ def test_a_surface_that_is_not_closed_refuses_a_cut_and_nothing_changes():
 
 @pytest.mark.parametrize("reach", [0.0, 0.7, 2.0])
 def test_places_at_rest_do_not_depend_on_which_cells_are_looked_at_first(reach):
-    model = block(9, 4, 4)
+    model = block(16, 4, 4)
     draw = np.random.default_rng(5)
     displacement = draw.normal(0, 0.15, (model.node_count, 3)).astype(np.float32)
     points = draw.uniform(-2.0, 7.0, (60, 3))
-    whole = (np.full(model.cell_count, -1), np.zeros(model.cell_count, np.int64), np.zeros((0, 512), np.int32))
-    tissue = Tissue(model.cells + 0.5, model.cell_corners, displacement, CORNER_OFFSETS - 0.5, *whole)
+    none = np.zeros(0, np.int64)
+    whole = (np.zeros(0, np.int32), none, none, none, np.zeros((0, 512), np.int32))
+    tissue = Tissue(model.cells, model.cell_corners, displacement, CORNER_OFFSETS - 0.5, *whole)
     found, wanted = np.empty_like(points), np.empty_like(points)
     is_open, is_wanted = np.empty((2, len(points)), np.bool_)
-    follow_back(points, tissue, reach, found, is_open)
-    follow_back(points, tissue, np.inf, wanted, is_wanted)
+    near, every = find_near(points, tissue, reach), find_near(points, tissue, np.inf)
+    assert len(near.cells) < len(every.cells) == model.cell_count
+    follow_back(points, tissue, near, near, found, is_open)
+    follow_back(points, tissue, every, every, wanted, is_wanted)
     np.testing.assert_array_equal(found, wanted)
     np.testing.assert_array_equal(is_open, is_wanted)
     assert is_open.any()
@@ -332,3 +336,23 @@ def test_a_blade_between_lips_that_are_held_apart_cuts_only_what_it_meets(aside)
     for j in (5, 6, 7, 8):
         there = (longer.model.node_index == (int(at), j, 7)).all(axis=1)
         assert there.sum() >= 2
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32))
+def test_a_blade_lies_at_rest_where_plain_numpy_says(seed):
+    draw = np.random.default_rng(seed)
+    model = block(8, 6, 5)
+    cuts, parted = Cuts(model, FULL), None
+    for _ in range(seed % 3):
+        cuts, _ = cuts.with_sheet(sheet_through(model, draw))
+        parted = cuts.parted
+    displacement = random_field(cuts.model, seed % 83, 0.3)
+    if seed % 4 == 0:
+        displacement += cuts.model.node_index.astype(np.float32) * np.float32(0.2)
+    middle = model.node_index.mean(axis=0) + draw.uniform(-4, 4, 3)
+    along, across = draw.normal(size=(2, 3)) * 3
+    blade = refined(np.array([[middle - along, middle + along], [middle - along + across, middle + along + across]]))
+    found = blade_at_rest(cuts.model, displacement, blade, parted)
+    wanted = plain_blade_at_rest(cuts.model, displacement, blade, parted)
+    assert found.tobytes() == wanted.tobytes()

@@ -1,0 +1,37 @@
+"""What a blade sweeps now at rest, in plain NumPy: place by place, and edges drawn in round by round."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heartcase.simulator.cutting.rest_space import places_at_rest
+
+AROUND = ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))
+HALVINGS = 4
+
+
+def plain_blade_at_rest(model, displacement, points, parted=None):
+    """As of :func:`heartcase.simulator.cutting.rest_space.blade_at_rest`."""
+    rest, is_open = places_at_rest(model, displacement, points, parted)
+    if not is_open.any():
+        return rest
+    meets = np.pad(~is_open, 1)
+    around = np.pad(points, ((1, 1), (1, 1), (0, 0)))
+    rows, columns = is_open.shape
+    is_edge, inner = np.zeros_like(is_open), np.zeros_like(points)
+    for row, column in AROUND:
+        here = (slice(1 + row, 1 + row + rows), slice(1 + column, 1 + column + columns))
+        is_beside = is_open & ~is_edge & meets[here]
+        inner[is_beside] = around[here][is_beside]
+        is_edge |= is_beside
+    within, outside = inner[is_edge], points[is_edge]
+    at_edge = rest[is_edge]
+    for _ in range(HALVINGS):
+        middle = (within + outside) / 2
+        found, beyond = places_at_rest(model, displacement, middle, parted)
+        within = np.where(beyond[:, None], within, middle)
+        outside = np.where(beyond[:, None], middle, outside)
+        at_edge = np.where(beyond[:, None], found, at_edge)
+    rest[is_open] = np.nan
+    rest[is_edge] = at_edge
+    return rest
