@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -82,27 +81,13 @@ def cut_tissue(
         Springs of the lattice were removed one by one.
     """
     left, further, step = cut_further(model, cuts, points)
-    split, engine = None, None
-    # What moves the lattice and what shows it do not wait for one another. A device belongs to the thread that talks to
-    # it.
-    moving = None if backend == "cuda" else _begin(lambda: make_engine(left, backend, engine_before))
-    try:
-        if cuttable is not None and further.parted is not None:
-            split = split_surface(cuttable, further.parted, further.sheets, split_before)
-        picking = cut_picking(without_loose_nodes(left)) if has_picking else None
-    finally:
-        if moving is not None:
-            wait([moving])
-    if moving is not None:
-        engine = moving.result()
+    split = None
+    if cuttable is not None and further.parted is not None:
+        split = split_surface(cuttable, further.parted, further.sheets, split_before)
+    picking = cut_picking(without_loose_nodes(left)) if has_picking else None
+    # A device belongs to the thread that talks to it.
+    engine = None if backend == "cuda" else make_engine(left, backend, engine_before)
     return CutTissue(model, left, further, step, split, picking, engine)
-
-
-def _begin(work: Callable[[], Engine]) -> Future[Engine]:
-    """Begin some work in a thread of its own."""
-    future: Future[Engine] = Future()
-    threading.Thread(target=_work_out, args=(future, None, work), name="heartcase-cut-engine").start()
-    return future
 
 
 @dataclass(frozen=True)
@@ -206,7 +191,7 @@ class CutsAhead:
         self._coming.clear()
 
 
-def _work_out(future: Future[Any], last: Future[Any] | None, work: Callable[[], Any]) -> None:
+def _work_out(future: Future[CutTissue], last: Future[CutTissue] | None, work: Callable[[], CutTissue]) -> None:
     if last is not None:
         wait([last])
     if not future.set_running_or_notify_cancel():
