@@ -20,7 +20,7 @@ from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.base import Vector3
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.cutting.bits.touched import begun_among, places_of_links
+from heartcase.simulator.cutting.bits.touched import begun_among, places_of_links, samples_of_places
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES, crossing_keys
 from heartcase.simulator.cutting.sheet_kernels import refine, step_lengths, strips_beyond, triangles_of
 from heartcase.simulator.lattice.model import LatticeModel
@@ -42,6 +42,7 @@ _FAR = 256.0
 """Where a step is longer [cells], it is divided as if it were so long."""
 _LONGEST = 128
 """Extent of a triangle along any axis [cells], so that products of three differences fit into 64 bits."""
+_ANYWHERE: tuple[Int64, Int64] = (np.full(3, -(1 << 60)), np.full(3, 1 << 60))
 _NOWHERE = (np.nan, np.nan, np.nan)
 
 
@@ -78,7 +79,8 @@ class Sheet:
     def links_beyond(self) -> Links:
         """Links that its continuation crosses in the cells that the sheet itself comes to, ascending."""
         touched = places_of_links(*self.links)
-        x, y, z = (begun_among(touched, keys) for keys in _crossed(self.beyond))
+        box = samples_of_places(touched)
+        x, y, z = (begun_among(touched, crossed_links(self.beyond, axis, box)) for axis in range(3))
         return x, y, z
 
     @classmethod
@@ -124,8 +126,17 @@ class Sheet:
         return cls(np.round(corners * QUANTA).astype(np.int64))
 
 
-def crossed_links(triangles: Int64, axis: int) -> Int64:
+def crossed_links(triangles: Int64, axis: int, box: tuple[Int64, Int64] | None = None) -> Int64:
     """Links between samples along an axis that triangles cross, as often as they do, ascending.
+
+    Parameters
+    ----------
+    triangles
+        Corners in QUANTA to a cell, shape (count, 3, 3).
+    axis
+        0, 1 or 2.
+    box
+        First and last index (i, j, k) of the samples on whose lines they are wanted; everywhere when left out.
 
     Returns
     -------
@@ -133,7 +144,7 @@ def crossed_links(triangles: Int64, axis: int) -> Int64:
         The key (:func:`heartcase.schemas.bundle.lattice.lattice_keys`) of each link's lower sample. Sample (i, j, k)
         lies (i + 1/2) / SAMPLES cells along x, and so on. int64, shape (count,).
     """
-    links: Int64 = crossing_keys(triangles, axis)
+    links: Int64 = crossing_keys(triangles, axis, *(_ANYWHERE if box is None else box))
     links.sort()
     return links
 

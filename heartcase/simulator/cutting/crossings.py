@@ -104,7 +104,7 @@ def _reach(triangle, b, c, at_b):
 
 
 @kernel
-def crossing_keys(triangles, axis):
+def crossing_keys(triangles, axis, low, high):
     """Links between samples along an axis that triangles cross, as often as they do, in no order.
 
     Parameters
@@ -113,6 +113,8 @@ def crossing_keys(triangles, axis):
         Corners, shape (count, 3, 3).
     axis
         0, 1 or 2.
+    low, high
+        Lines of samples that are asked for lie from one index (i, j, k) to the other, shape (3,).
 
     Returns
     -------
@@ -126,16 +128,20 @@ def crossing_keys(triangles, axis):
         facing = _sign(_normal(triangle, axis), 0, 0)
         if facing == 0:
             continue
-        for line_b in range(_first_line(triangle[:, b].min()), _last_line(triangle[:, b].max()) + 1):
+        first, last = _first_line(triangle[:, b].min()), _last_line(triangle[:, b].max())
+        for line_b in range(max(first, low[b]), min(last, high[b]) + 1):
             at_b = _FIRST + _PITCH * line_b
-            low, high = _reach(triangle, b, c, at_b)
-            for line_c in range(_first_line(low), _last_line(high) + 1):
-                at_c = _FIRST + _PITCH * line_c
-                if not _meets(triangle, b, c, facing, at_b, at_c):
-                    continue
-                if count == len(keys):
-                    keys = np.append(keys, np.empty(count, np.int64))
-                link = (_link(triangle, axis, at_b, at_c) + _OFFSET) << 21 * axis
+            least, most = _reach(triangle, b, c, at_b)
+            line, last_line = max(_first_line(least), low[c]), min(_last_line(most), high[c])
+            # A triangle is convex: what it meets of the lines of a row lies between the first and the last of them.
+            while line <= last_line and not _meets(triangle, b, c, facing, at_b, _FIRST + _PITCH * line):
+                line += 1
+            while line <= last_line and not _meets(triangle, b, c, facing, at_b, _FIRST + _PITCH * last_line):
+                last_line -= 1
+            while count + last_line + 1 - line > len(keys):
+                keys = np.append(keys, np.empty(len(keys), np.int64))
+            for line_c in range(line, last_line + 1):
+                link = (_link(triangle, axis, at_b, _FIRST + _PITCH * line_c) + _OFFSET) << 21 * axis
                 link |= (line_b + _OFFSET) << 21 * b | (line_c + _OFFSET) << 21 * c
                 keys[count] = link
                 count += 1
