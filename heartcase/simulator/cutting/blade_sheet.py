@@ -80,8 +80,10 @@ class Sheet:
         """Links that its continuation crosses in the cells that the sheet itself comes to, ascending."""
         touched = places_of_links(*self.links)
         box = samples_of_places(touched)
-        x, y, z = (begun_among(touched, crossed_links(self.beyond, axis, box)) for axis in range(3))
-        return x, y, z
+        found = [begun_among(touched, crossing_keys(self.beyond, axis, *box)) for axis in range(3)]
+        for keys in found:
+            keys.sort()
+        return found[0], found[1], found[2]
 
     @classmethod
     def swept(cls, poses: npt.ArrayLike) -> Sheet:
@@ -126,17 +128,8 @@ class Sheet:
         return cls(np.round(corners * QUANTA).astype(np.int64))
 
 
-def crossed_links(triangles: Int64, axis: int, box: tuple[Int64, Int64] | None = None) -> Int64:
+def crossed_links(triangles: Int64, axis: int) -> Int64:
     """Links between samples along an axis that triangles cross, as often as they do, ascending.
-
-    Parameters
-    ----------
-    triangles
-        Corners in QUANTA to a cell, shape (count, 3, 3).
-    axis
-        0, 1 or 2.
-    box
-        First and last index (i, j, k) of the samples on whose lines they are wanted; everywhere when left out.
 
     Returns
     -------
@@ -144,7 +137,7 @@ def crossed_links(triangles: Int64, axis: int, box: tuple[Int64, Int64] | None =
         The key (:func:`heartcase.schemas.bundle.lattice.lattice_keys`) of each link's lower sample. Sample (i, j, k)
         lies (i + 1/2) / SAMPLES cells along x, and so on. int64, shape (count,).
     """
-    links: Int64 = crossing_keys(triangles, axis, *(_ANYWHERE if box is None else box))
+    links: Int64 = crossing_keys(triangles, axis, *_ANYWHERE)
     links.sort()
     return links
 

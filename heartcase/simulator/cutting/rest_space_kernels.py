@@ -166,18 +166,17 @@ def find_near(points, tissue, reach):
             low[axis] = min(low[axis], points[point, axis] - reach)
             high[axis] = max(high[axis], points[point, axis] + reach)
     _most_moved(tissue.displacement, moved)
+    first, last = low - moved[1] - 0.501, high - moved[0] - 0.499
     cells, middles, count = np.empty(1024, np.int64), np.empty((1024, 3)), 0
     for cell in range(len(tissue.cells)):
         # A cell moves no further than the nodes do, but for rounding.
-        inside = True
-        for axis in range(3):
-            middle = tissue.cells[cell, axis] + 0.5
-            inside &= middle + moved[1, axis] >= low[axis] - 1e-3
-            inside &= middle + moved[0, axis] <= high[axis] + 1e-3
-        if not inside:
+        if not first[2] <= tissue.cells[cell, 2] <= last[2]:
+            continue
+        if not (first[1] <= tissue.cells[cell, 1] <= last[1] and first[0] <= tissue.cells[cell, 0] <= last[0]):
             continue
         if count == len(cells):
             cells, middles = np.append(cells, cells), np.concatenate((middles, middles))
+        inside = True
         _middle(tissue, cell, middles[count])
         for axis in range(3):
             inside &= low[axis] <= middles[count, axis] <= high[axis]

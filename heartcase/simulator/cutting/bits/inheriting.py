@@ -162,17 +162,19 @@ def heaviest_nodes(mass, node_origin, origins_before, node_before, node_count):
     for node in origins_before:
         has_copies[node] = True
     result = np.empty(node_count + len(origins_before), np.int64)
-    for node in range(len(node_origin)):
+    for node in range(node_count, len(node_origin)):
         origin = node_origin[node]
-        if has_copies[origin] and mass[node] >= mass[heaviest[origin]]:
+        if mass[node] >= mass[heaviest[origin]]:
             heaviest[origin] = node
     result[:node_count] = heaviest
     for copy in range(len(origins_before)):
         result[node_count + copy] = heaviest[origins_before[copy]]
     is_set = np.zeros(len(result), np.bool_)
     for node in range(len(node_origin)):
+        if node < node_count and not has_copies[node]:
+            continue
         before = node_before[node]
-        if has_copies[node_origin[node]] and not (is_set[before] and mass[node] < mass[result[before]]):
+        if not (is_set[before] and mass[node] < mass[result[before]]):
             result[before], is_set[before] = node, True
     return result
 
