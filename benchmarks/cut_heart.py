@@ -168,7 +168,7 @@ def errors(inputs: Inputs, output: CpuEngine) -> dict[str, float]:
         "nodes [1]": float(model.node_count),
         "springs crossed [1]": float(inputs.crossed.sum()) if is_cut else 0.0,
         "springs more [1]": float(springs),
-        "irregular springs [1]": float(fast.layout.irregular_springs(model).sum()),
+        "irregular springs [1]": float(len(fast.layout.irregular_springs(model))),
         "irregular cells [1]": float(len(fast.layout.irregular_cells)),
         "steps per run [1]": float(inputs.step_count),
     }

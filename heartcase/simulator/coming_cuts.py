@@ -55,6 +55,7 @@ def cut_tissue(
     cuttable: CuttableSurface | None,
     has_picking: bool,
     backend: Backend,
+    split_before: SplitSurface | None = None,
 ) -> CutTissue:
     """Cut a lattice further, with all that follows it.
 
@@ -68,6 +69,8 @@ def cut_tissue(
         Whether the one-to-one surface is wanted.
     backend
         What moves it.
+    split_before
+        What was split for the cuts until now, from which the surface goes on.
 
     Raises
     ------
@@ -77,7 +80,7 @@ def cut_tissue(
     left, further, step = cut_further(model, cuts, points)
     split = None
     if cuttable is not None and further.parted is not None:
-        split = split_surface(cuttable, further.parted, further.sheets)
+        split = split_surface(cuttable, further.parted, further.sheets, split_before)
     picking = cut_picking(without_loose_nodes(left)) if has_picking else None
     # A device belongs to the thread that talks to it.
     engine = None if backend == "cuda" else make_engine(left, backend)

@@ -78,6 +78,7 @@ class MovingTissue:
         self.cuts: Cuts | None = None
         self._cuttable: CuttableSurface | None = None
         self._splits: list[tuple[Cuts, SplitSurface]] = []
+        self._split_ahead: tuple[tuple[Cuts, SplitSurface], ...] = ()
         self._ahead = CutsAhead()
         self._rate_limit: tuple[LatticeModel, float] | None = None
         self._inverse_mass = model.inverse_mass
@@ -366,14 +367,18 @@ class MovingTissue:
 
     def _cut_tissue(self, model: LatticeModel, cuts: Cuts, points: Float64) -> CutTissue:
         """What one more cut leaves of some lattice, of which so much was cut."""
-        return cut_tissue(
+        before = next((split for known, split in (*self._splits, *self._split_ahead) if known is cuts), None)
+        made = cut_tissue(
             model,
             cuts,
             points,
             cuttable=self._prepare_split(cuts),
             has_picking=self._whole_picking is not None,
             backend=self.backend,
+            split_before=before,
         )
+        self._split_ahead = () if made.split is None else ((made.cuts, made.split),)
+        return made
 
     def _prepare_split(self, cuts: Cuts) -> CuttableSurface | None:
         """The surface over the uncut lattice, where there is one."""
@@ -389,7 +394,11 @@ class MovingTissue:
         for known, split in self._splits:
             if known is cuts:
                 return split
-        split = split_surface(cuttable, cuts.parted, cuts.sheets) if made is None else made
+        if made is None:
+            before = self._splits[-1][1] if self._splits else None
+            split = split_surface(cuttable, cuts.parted, cuts.sheets, before)
+        else:
+            split = made
         self._splits = [*self._splits[1 - _SPLITS_KEPT :], (cuts, split)]
         return split
 

@@ -125,6 +125,7 @@ def test_ends_are_found(out, tmp_path, capsys):
 def test_springs_go_and_come(case):
     simulation = Simulation(case.model)
     simulation.remove_springs(np.arange(case.model.spring_count) % 50 == 0)
+    assert Simulation(simulation.model).step_limit_s > 0.0
     simulation.add_springs([[0, case.model.node_count - 1]], 0.1)
     simulation.step(5)
     assert np.isfinite(simulation.positions_mm()).all()
@@ -144,7 +145,12 @@ def test_a_cut_parts_the_lattice(case):
     assert split.triangle_part.max() > 0
     # What only sheets in one place, or inside the tissue, ask.
     assert directions_of(cuttable.mesh.vertices[:2]).shape == (2, 3)
-    assert not is_inside(cuttable.mesh.vertices, cuttable.mesh.triangles, cuttable.mesh.vertices.min(axis=0) - 1)
+    assert not is_inside(
+        cuttable.mesh.vertices,
+        cuttable.mesh.triangles,
+        cuttable.mesh.buckets,
+        cuttable.mesh.vertices.min(axis=0) - 1,
+    )
 
 
 def test_moving_tissue_is_cut(case):

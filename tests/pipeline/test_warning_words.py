@@ -19,8 +19,8 @@ ELSEWHERE = {"bundle/assembly.py", "ends/cut_ends.py", "warnings.py"}
 """Sentences that only a command line meets, or that are put together from what a search found."""
 
 
-def german():
-    text = (PAGE / "words" / "warnings_de.js").read_text(encoding="utf-8")
+def words_of(language):
+    text = (PAGE / "words" / f"warnings_{language}.js").read_text(encoding="utf-8")
     body = text[text.index("{", text.index("export const warnings")) : text.rindex("}") + 1]
     return json.loads(re.sub(r",\s*}$", "}", body))
 
@@ -59,9 +59,20 @@ def test_what_is_no_sentence_of_these_is_none():
         sentence("stray-pieces", label="aorta")
 
 
-def test_every_kind_has_both_languages_and_says_the_same_values():
-    words = german()
-    assert words.keys() == SENTENCES.keys()
+SETTINGS = re.compile(r"[a-z]+_mm\b|walls\.|surface\.|\[\[\w|\\\\\[|'ends'|heartcase suggest|septal_defect")
+"""Names in a recipe's file, and commands."""
+
+
+def test_what_names_settings_of_a_recipe_has_words_of_the_page():
+    words = words_of("en")
+    assert {kind for kind, text in SENTENCES.items() if SETTINGS.search(text)} <= words.keys() <= SENTENCES.keys()
+    assert not [kind for kind, text in words.items() if SETTINGS.search(text)]
+
+
+@pytest.mark.parametrize("language", ["de", "en"])
+def test_every_kind_has_both_languages_and_says_the_same_values(language):
+    words = words_of(language)
+    assert language == "en" or words.keys() == SENTENCES.keys()
     for kind, text in words.items():
         missing = value_names(SENTENCES[kind]) - value_names(text)
         # numbers that are to be written into a recipe are for those who write one

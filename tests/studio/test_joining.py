@@ -9,6 +9,7 @@ import threading
 
 import pytest
 
+from heartcase.studio.offline.exported import fitting_page_of
 from heartcase.studio.operating import theatre
 from heartcase.studio.operating.theatre import Theatre
 from heartcase.studio.pages import Page
@@ -37,7 +38,9 @@ class Door:
 @pytest.fixture(params=["case", "recipe"])
 def place_and_door(request, tmp_path, monkeypatch):
     if request.param == "case":
-        return Theatre(write_case(tmp_path), out=tmp_path), Door(monkeypatch, theatre, "open_stage")
+        return Theatre(write_case(tmp_path), out=tmp_path, page_of=fitting_page_of), Door(
+            monkeypatch, theatre, "open_stage"
+        )
     recipe, _ = write_recipe(tmp_path)
     return Workplace(recipe, out=tmp_path / "out"), Door(monkeypatch, workplace, "open_painting")
 
@@ -101,7 +104,10 @@ def test_a_server_that_ends_while_a_case_is_opened_for_nobody_ends_its_session(p
 
 
 def test_time_stands_in_a_case_that_was_opened_for_nobody(tmp_path, monkeypatch):
-    place, door = Theatre(write_case(tmp_path), out=tmp_path), Door(monkeypatch, theatre, "open_stage")
+    place, door = (
+        Theatre(write_case(tmp_path), out=tmp_path, page_of=fitting_page_of),
+        Door(monkeypatch, theatre, "open_stage"),
+    )
 
     async def story():
         await (await come_and_go(place, door))

@@ -201,7 +201,7 @@ def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
 
 def _page(export: _Export, recordings: Sequence[Path], rate: float | None, *, tours: bool) -> _Made:
     """The case for a browser."""
-    from heartcase.cli.shared.web_pages import page_of
+    from heartcase.studio.offline.exported import page_of
 
     rate = FRAMES_PER_SECOND if rate is None else rate
     content, warnings = page_of(export.case, recordings, level=export.level, frames_per_second=rate, tours=tours)
@@ -221,8 +221,8 @@ def _write_site(
     as_json: bool,
 ) -> None:
     """Write a site, and say so."""
-    from heartcase.cli.shared.web_pages import site_of
     from heartcase.pipeline.warnings import counted
+    from heartcase.studio.offline.exported import site_of
 
     rate = FRAMES_PER_SECOND if rate is None else rate
     console = error_console()

@@ -281,10 +281,14 @@ def catalogue(out: Path, to: Path | None, languages: tuple[str, ...], as_json: b
                 "made": result.made,
                 "removed": result.removed,
                 "refused": {name: [[one.place, one.message] for one in why] for name, why in result.refused.items()},
+                "warnings": {name: [[one.place, one.message] for one in why] for name, why in result.warnings.items()},
                 "seconds": round(result.seconds, 2),
             }
         )
     else:
+        for name, problems in result.warnings.items():
+            for problem in problems:
+                click.echo(f"{name}: warning: {problem}", err=True)
         for name, problems in result.refused.items():
             click.echo(f"{name}: refused", err=True)
             for problem in problems:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from heartcase.cli.shared.film import Seen
-from heartcase.cli.shared.recorded_film import frame_steps
 from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.errors import MissingExtraError
 from heartcase.simulator.incisions.directions import divided
@@ -16,6 +15,7 @@ from heartcase.simulator.incisions.nearness import carried
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.planned_incisions import HeldOpen, at_vertices
+from heartcase.simulator.session.replay import frame_steps
 from heartcase.simulator.simulation import Simulation
 
 __all__ = [

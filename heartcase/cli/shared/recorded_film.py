@@ -11,20 +11,16 @@ import numpy as np
 
 from heartcase.cli.shared.film import Filmer, Seen, animation_bytes, check_animation_name
 from heartcase.schemas.arrays import Float32, Int32, UInt8
-from heartcase.schemas.errors import UsageError
-from heartcase.schemas.recording.reader import Recording, open_recording
+from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
-from heartcase.simulator.session.replay import load_session, refuse_deviation
+from heartcase.simulator.session.replay import check_frame_count, frame_steps, load_session, refuse_deviation
 
 if TYPE_CHECKING:
     from heartcase.pipeline.exports.animation import MovingSurface
 
-__all__ = ["FRAMES_MAX", "Animation", "animation_of", "check_frame_count", "frame_steps"]
-
-FRAMES_MAX = 3000
-"""Frames of one animation."""
+__all__ = ["Animation", "animation_of"]
 
 
 @dataclass(frozen=True)
@@ -72,19 +68,6 @@ def animation_of(
     if suffix == ".glb":
         return _glb(session, loaded, frames_per_second, error_mm)
     return _film(session, loaded, suffix, frames_per_second)
-
-
-def check_frame_count(recording: Recording, frames_per_second: float) -> None:
-    """Refuse a recording of too many frames.
-
-    Raises
-    ------
-    UsageError
-        There would be more than :data:`FRAMES_MAX`.
-    """
-    count = round(recording.seconds * frames_per_second) + 1
-    if count > FRAMES_MAX:
-        raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: give fewer", place="--frames-per-second")
 
 
 def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second: float) -> Animation:
@@ -172,17 +155,3 @@ def _frames(session: OperatingSession, colours: UInt8, frames_per_second: float)
     for _ in session.play():
         pass
     refuse_deviation(session)
-
-
-def frame_steps(session: OperatingSession, frames_per_second: float) -> list[int]:
-    """Steps of the frames after the first; the end of a row of steps where one is near, which then is taken once."""
-    start, end = session.start_step, session.end_step
-    every = 1.0 / (frames_per_second * session.simulation.step_s)
-    ends = np.unique([start, *(entry.end_step for entry in session.entries), end])
-    wanted = np.unique([*np.round(np.arange(start + every, end, every)).astype(int), end])
-    place = np.searchsorted(ends, wanted)
-    near = np.stack([ends[np.maximum(place - 1, 0)], ends[np.minimum(place, len(ends) - 1)]])
-    nearest = near[np.abs(near - wanted).argmin(axis=0), np.arange(len(wanted))]
-    steps = np.where(np.abs(nearest - wanted) <= every / 4, nearest, wanted)
-    found: list[int] = [int(step) for step in np.unique(steps) if step > start]
-    return found

@@ -219,7 +219,10 @@ def _manifest_data(directory: Path) -> tuple[dict[str, Any], bytes]:
     except ValueError:
         raise BundleError("is not valid JSON: the case is damaged, build it again", place=MANIFEST_NAME) from None
     if not isinstance(data, dict) or data.get("format") != FORMAT_NAME:
-        raise BundleError(f"does not say that it is a {FORMAT_NAME}", place=MANIFEST_NAME)
+        raise BundleError(
+            f"does not say that it is a {FORMAT_NAME}: name the folder NAME.case that a build wrote",
+            place=MANIFEST_NAME,
+        )
     _refuse_unknown(data)
     return data, content
 

@@ -124,7 +124,10 @@ def read_header(directory: Path) -> RecordingHeader:
     """
     data = _read(directory)
     if not isinstance(data, dict) or data.get("format") != FORMAT_NAME:
-        raise RecordingError(f"does not say that it is a {FORMAT_NAME}", place=HEADER_NAME)
+        raise RecordingError(
+            f"does not say that it is a {FORMAT_NAME}: name a folder that heartcase record, or a session, wrote",
+            place=HEADER_NAME,
+        )
     _refuse_newer(data)
     try:
         return RecordingHeader.model_validate_json(json.dumps(data))

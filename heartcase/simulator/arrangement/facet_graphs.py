@@ -237,6 +237,7 @@ def divide_facets(
     halves,
     joined,
     triangles,
+    face_facet,
 ):
     """Divide facets into faces, and these into triangles.
 
@@ -263,6 +264,8 @@ def divide_facets(
         Pairs of half-edges that start in one corner of a face, shape (room, 2), written.
     triangles
         Half-edges of the three corners of each triangle, shape (room, 3), written.
+    face_facet
+        Facet of each face, shape (room,), written.
 
     Returns
     -------
@@ -334,6 +337,7 @@ def divide_facets(
         polygon = np.empty(half_count, np.int64)
         written = triangle_total
         for face in range(face_count):
+            face_facet[face_total + face] = facet
             start = 0
             while cycle[start] != face:
                 start += 1

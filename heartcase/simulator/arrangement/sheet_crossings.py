@@ -8,12 +8,13 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
 from heartcase.simulator.arrangement.exact_ties import comes_first, is_in_all_three
-from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
+from heartcase.simulator.arrangement.merged_rows import order_rows
+from heartcase.simulator.arrangement.sheet_mesh import Merged, SheetMesh
 from heartcase.simulator.arrangement.sheet_sides import cross_triangles
-from heartcase.simulator.arrangement.surface_crossings import fill_buckets
+from heartcase.simulator.arrangement.surface_crossings import renumber_ends
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 
-__all__ = ["Arcs", "SheetArcs", "cross_points", "cross_sheets"]
+__all__ = ["Arcs", "SheetArcs", "cross_points", "cross_sheets", "joined_arcs"]
 
 _NOT_ZERO = 1e-5
 """Distance from the edges of a triangle, in whole numbers, from which on a place is on a side of them for sure."""
@@ -48,27 +49,45 @@ class SheetArcs(NamedTuple):
     corners: Int64
 
 
-def cross_sheets(surface: UncutSurface, mesh: SheetMesh) -> SheetArcs:
-    """Arcs of sheets near a surface, by pairs of triangles."""
+def cross_sheets(surface: UncutSurface, mesh: SheetMesh, asked: Int64) -> SheetArcs:
+    """Arcs of some triangles of sheets near a surface with all others, by pairs of triangles."""
     shift, low, size, _, _ = surface.buckets
     low, size = low >> 1, ((low + size - 1) >> 1) - (low >> 1) + 1
-    first, members = np.zeros(int(size.prod()) + 1, np.int64), np.zeros(0, np.int32)
-    fill_buckets(mesh.vertices, mesh.triangles, shift + 1, low, size, first, members)
-    members = np.empty(first[-1], np.int32)
-    fill_buckets(mesh.vertices, mesh.triangles, shift + 1, low, size, first, members)
-    lowest = (mesh.vertices[mesh.triangles].min(axis=1) >> (shift + 1)) - low
-    lists = np.concatenate([np.maximum(lowest, 0), size[None]])
-    room = 4 * len(mesh.triangles) + 64
+    room = 4 * len(asked) + 64
     while True:
         pairs, ends, corners = (np.empty((room, 2), np.int64) for _ in range(3))
         weights = np.empty((room, 2, 2, 3))
         count = cross_triangles(
-            mesh.vertices, mesh.triangles, mesh.edges, first, members, lists, pairs, ends, weights, corners
+            mesh.vertices,
+            mesh.triangles,
+            mesh.edges,
+            asked,
+            (shift + 1, low, size),
+            pairs,
+            ends,
+            weights,
+            corners,
         )
         if count <= room:
-            order = np.lexsort((pairs[:count, 1], pairs[:count, 0]))
+            order = order_rows(pairs[:count])
             return SheetArcs(pairs[order], ends[order], weights[order], corners[order])
         room = count
+
+
+def joined_arcs(before: SheetArcs, more: SheetArcs, merged: Merged) -> SheetArcs:
+    """Arcs of a mesh that others were added to, together with those of the others, by pairs of triangles."""
+    pairs = np.concatenate([merged.triangles[before.pairs], more.pairs])
+    ends, corners = before.ends.copy(), before.corners.copy()
+    renumber_ends(ends, merged.triangles, merged.edges)
+    has_corner = corners >= 0
+    corners[has_corner] = merged.vertices[corners[has_corner]]
+    order = order_rows(pairs)
+    return SheetArcs(
+        pairs[order],
+        np.concatenate([ends, more.ends])[order],
+        np.concatenate([before.weights, more.weights])[order],
+        np.concatenate([corners, more.corners])[order],
+    )
 
 
 class _Points(NamedTuple):

@@ -184,85 +184,113 @@ def _is_beside(vertices, one, other, shared):
     return False
 
 
+@kernel(cached=False)
+def _reach(vertices, triangle, shift, low, size, box):
+    """Lowest and highest corner of a triangle, and the buckets that it reaches into, shape (4, 3)."""
+    for axis in range(3):
+        a, b, c = vertices[triangle[0], axis], vertices[triangle[1], axis], vertices[triangle[2], axis]
+        box[0, axis], box[1, axis] = min(a, b, c), max(a, b, c)
+        box[2, axis] = max((box[0, axis] >> shift) - low[axis], 0)
+        box[3, axis] = min((box[1, axis] >> shift) - low[axis], size[axis] - 1)
+
+
+@kernel(cached=False)
+def _are_apart(one, other):
+    """Whether the boxes around two triangles are apart, or share no bucket."""
+    for axis in range(3):
+        if one[0, axis] > other[1, axis] or other[0, axis] > one[1, axis]:
+            return True
+        if one[2, axis] > other[3, axis] or other[2, axis] > one[3, axis]:
+            return True
+    return False
+
+
 @kernel
-def cross_triangles(vertices, triangles, edges, first, members, lists, pairs, ends, weights, corners):
-    """Write the arcs of triangles of sheets as long as there is room; returns how many there are.
+def cross_triangles(vertices, triangles, edges, asked, buckets, pairs, ends, weights, corners):
+    """Write the arcs of some triangles of sheets as long as there is room; returns how many there are.
 
     Parameters
     ----------
     vertices, triangles, edges
         Of :class:`heartcase.simulator.arrangement.sheet_mesh.SheetMesh`.
-    first, members
-        Triangles in each bucket.
-    lists
-        Lowest bucket of each triangle, shape (triangle_count, 3), and sizes, at its end.
+    asked
+        Triangles that are asked for, ascending: with one another, and with all others.
+    buckets
+        ``(shift, low, size)``: only triangles that share a bucket of 2^shift along each edge cross.
     pairs, ends, weights
         As of :func:`heartcase.simulator.arrangement.surface_crossings.cross_surface`; keys of ends are
         -1 - (edge << 31 | triangle).
     corners
         Corner of both triangles in which an arc ends, else -1, shape (room, 2), written.
     """
-    size = lists[-1]
+    shift, low, size = buckets
     count, room = 0, len(pairs)
     spare_ends, spare_corners = np.empty((1, 2), np.int64), np.empty((1, 2), np.int64)
     spare_weights = np.empty((1, 2, 2, 3))
-    for bucket in range(len(first) - 1):
-        place = bucket % size[0], bucket // size[0] % size[1], bucket // (size[0] * size[1])
-        for at in range(first[bucket], first[bucket + 1]):
-            for beyond in range(at + 1, first[bucket + 1]):
-                one, other = min(members[at], members[beyond]), max(members[at], members[beyond])
-                is_here, is_apart = True, False
-                for axis in range(3):
-                    is_here = is_here and max(lists[one, axis], lists[other, axis]) == place[axis]
-                    low_one, high_one = vertices[triangles[one, 0], axis], vertices[triangles[one, 0], axis]
-                    low_other, high_other = vertices[triangles[other, 0], axis], vertices[triangles[other, 0], axis]
-                    for n in range(1, 3):
-                        low_one = min(low_one, vertices[triangles[one, n], axis])
-                        high_one = max(high_one, vertices[triangles[one, n], axis])
-                        low_other = min(low_other, vertices[triangles[other, n], axis])
-                        high_other = max(high_other, vertices[triangles[other, n], axis])
-                    is_apart = is_apart or low_one > high_other or low_other > high_one
-                if not is_here or is_apart:
-                    continue
-                shared, here, there = _shared(triangles, one, other)
-                if shared > 1 or _is_beside(vertices, triangles[one], triangles[other], shared):
-                    continue
-                has_room = count < room
-                e, w, c = (ends, weights, corners) if has_room else (spare_ends, spare_weights, spare_corners)
-                row = count if has_room else 0
-                c[row, 0] = c[row, 1] = -2
-                found = _pierce(vertices, triangles, edges, one, other, e, w, c, row, 0)
-                found += _pierce(vertices, triangles, edges, other, one, e, w, c, row, 1)
-                if found == 1 and shared == 1:
-                    end = 0 if c[row, 0] == -2 else 1
-                    e[row, end] = e[row, 1 - end]
-                    c[row, end] = triangles[one, here]
-                    w[row, end, :, :] = 0.0
-                    w[row, end, 0, here] = w[row, end, 1, there] = 1.0
-                    found = 2
-                if found != 2 or c[row, 0] == -2 or c[row, 1] == -2:
-                    continue
-                if has_room:
-                    pairs[count, 0], pairs[count, 1] = one, other
-                count += 1
+    is_asked = np.zeros(len(triangles), np.bool_)
+    for number in asked:
+        is_asked[number] = True
+    boxes = np.empty((len(triangles), 4, 3), np.int64)
+    for number in range(len(triangles)):
+        _reach(vertices, triangles[number], shift, low, size, boxes[number])
+    for number in asked:
+        for second in range(len(triangles)):
+            # Two that are asked for meet once.
+            if second == number or (is_asked[second] and second < number):
+                continue
+            if _are_apart(boxes[number], boxes[second]):
+                continue
+            one, other = min(number, second), max(number, second)
+            shared, here, there = _shared(triangles, one, other)
+            if shared > 1 or _is_beside(vertices, triangles[one], triangles[other], shared):
+                continue
+            has_room = count < room
+            e, w, c = (ends, weights, corners) if has_room else (spare_ends, spare_weights, spare_corners)
+            row = count if has_room else 0
+            c[row, 0] = c[row, 1] = -2
+            found = _pierce(vertices, triangles, edges, one, other, e, w, c, row, 0)
+            found += _pierce(vertices, triangles, edges, other, one, e, w, c, row, 1)
+            if found == 1 and shared == 1:
+                end = 0 if c[row, 0] == -2 else 1
+                e[row, end] = e[row, 1 - end]
+                c[row, end] = triangles[one, here]
+                w[row, end, :, :] = 0.0
+                w[row, end, 0, here] = w[row, end, 1, there] = 1.0
+                found = 2
+            if found != 2 or c[row, 0] == -2 or c[row, 1] == -2:
+                continue
+            if has_room:
+                pairs[count, 0], pairs[count, 1] = one, other
+            count += 1
     return count
 
 
 @kernel
-def order_around(vertices, triangles, ends, first, members, ranks):
+def order_around(vertices, triangles, edges, ends, ranks):
     """Number the triangles at each edge in their order around it, counter-clockwise seen against its way.
 
     Parameters
     ----------
-    vertices, triangles
+    vertices, triangles, edges
         Of the mesh.
     ends
         Lower and higher vertex of each edge, shape (edge_count, 2).
-    first, members
-        Corners before each edge, 3 triangle + corner, edge by edge.
     ranks
         Place in the order, shape (triangle_count, 3), written.
     """
+    # Corners before each edge, 3 triangle + corner, edge by edge.
+    first = np.zeros(len(ends) + 1, np.int64)
+    for triangle in range(len(triangles)):
+        for corner in range(3):
+            first[edges[triangle, corner] + 1] += 1
+    for edge in range(len(ends)):
+        first[edge + 1] += first[edge]
+    filled, members = first.copy(), np.empty(3 * len(triangles), np.int64)
+    for triangle in range(len(triangles)):
+        for corner in range(3):
+            edge = edges[triangle, corner]
+            members[filled[edge]] = 3 * triangle + corner
+            filled[edge] += 1
     for edge in range(len(ends)):
         p, q = ends[edge, 0], ends[edge, 1]
         start, stop = first[edge], first[edge + 1]

@@ -13,7 +13,7 @@ import numpy as np
 from heartcase.compiling.kernel import kernel
 from heartcase.simulator.arrangement.exact_sides import line_side, sheet_side, tissue_side, volume
 
-__all__ = ["cross_surface", "fill_buckets", "is_inside"]
+__all__ = ["cross_surface", "fill_buckets", "is_inside", "renumber_ends"]
 
 
 @kernel
@@ -148,9 +148,9 @@ def _cross_two(surface, of_surface, surface_edges, sheet, of_sheet, sheet_edges,
 
 @kernel
 def cross_surface(
-    vertices, triangles, edges, buckets, sheet_vertices, sheet_triangles, sheet_edges, pairs, ends, weights
+    vertices, triangles, edges, buckets, sheet_vertices, sheet_triangles, sheet_edges, asked, pairs, ends, weights
 ):
-    """Write the arcs of a surface and a sheet as long as there is room; returns how many there are.
+    """Write the arcs of a surface and triangles of a sheet as long as there is room; returns how many there are.
 
     Parameters
     ----------
@@ -160,6 +160,8 @@ def cross_surface(
         ``(shift, low, size, first, members)`` of :func:`fill_buckets`.
     sheet_vertices, sheet_triangles, sheet_edges
         The same of the sheet.
+    asked
+        Which triangles of the sheet are asked for.
     pairs
         Triangle of the surface and of the sheet of each arc, shape (room, 2), written.
     ends
@@ -174,7 +176,7 @@ def cross_surface(
     own = np.empty((2, 3), np.int64)
     # Where there is no room ends are written over one another.
     spare_ends, spare_weights = np.empty((1, 2), np.int64), np.empty((1, 2, 2, 3))
-    for number in range(len(sheet_triangles)):
+    for number in asked:
         of_sheet = sheet_triangles[number]
         _reach(sheet_vertices, of_sheet, shift, low, size, reach)
         for k in range(reach[0, 2], reach[1, 2] + 1):
@@ -215,21 +217,48 @@ def cross_surface(
 
 
 @kernel
-def is_inside(vertices, triangles, point):
+def renumber_ends(ends, triangles, edges):
+    """Let keys of ends name triangles and edges of sheets by their new numbers."""
+    mask, of_sheet = np.int64(0x7FFFFFFF), np.int64(1) << 62
+    for n in range(len(ends)):
+        for end in range(2):
+            key = ends[n, end]
+            if key < 0:
+                key = -1 - key
+                ends[n, end] = -1 - ((edges[key >> 31] << 31) | triangles[key & mask])
+            elif key >= of_sheet:
+                key ^= of_sheet
+                ends[n, end] = of_sheet | (edges[key >> 31] << 31) | (key & mask)
+            else:
+                ends[n, end] = (key & ~mask) | triangles[key & mask]
+
+
+@kernel
+def is_inside(vertices, triangles, buckets, point):
     """Whether a corner of a sheet lies inside a closed surface: by what a ray along x crosses."""
-    far = np.empty(3, np.int64)
-    crossings = 0
-    for number in range(len(triangles)):
-        a, b, c = vertices[triangles[number, 0]], vertices[triangles[number, 1]], vertices[triangles[number, 2]]
-        most = max(a[0], b[0], c[0])
-        if most < point[0] or min(a[1], b[1], c[1]) > point[1] or max(a[1], b[1], c[1]) < point[1]:
-            continue
-        if min(a[2], b[2], c[2]) > point[2] or max(a[2], b[2], c[2]) < point[2]:
-            continue
-        far[0], far[1], far[2] = most + 1, point[1], point[2]
-        if sheet_side(a, b, c, point) == sheet_side(a, b, c, far):
-            continue
-        one = line_side(a, b, point, far)
-        if one != 0 and one == line_side(b, c, point, far) and one == line_side(c, a, point, far):
-            crossings += 1
+    shift, low, size, first, members = buckets
+    far, own = np.empty(3, np.int64), np.empty((2, 3), np.int64)
+    i, j, k = (point[0] >> shift) - low[0], (point[1] >> shift) - low[1], (point[2] >> shift) - low[2]
+    if j < 0 or k < 0 or j >= size[1] or k >= size[2]:
+        return False
+    crossings, start = 0, max(i, 0)
+    for bucket in range((k * size[1] + j) * size[0] + start, (k * size[1] + j + 1) * size[0]):
+        for at in range(first[bucket], first[bucket + 1]):
+            number = members[at]
+            # Of the buckets along the ray that a triangle reaches into, it counts in the first.
+            _reach(vertices, triangles[number], shift, low, size, own)
+            if max(own[0, 0], start) != bucket % size[0]:
+                continue
+            a, b, c = vertices[triangles[number, 0]], vertices[triangles[number, 1]], vertices[triangles[number, 2]]
+            most = max(a[0], b[0], c[0])
+            if most < point[0] or min(a[1], b[1], c[1]) > point[1] or max(a[1], b[1], c[1]) < point[1]:
+                continue
+            if min(a[2], b[2], c[2]) > point[2] or max(a[2], b[2], c[2]) < point[2]:
+                continue
+            far[0], far[1], far[2] = most + 1, point[1], point[2]
+            if sheet_side(a, b, c, point) == sheet_side(a, b, c, far):
+                continue
+            one = line_side(a, b, point, far)
+            if one != 0 and one == line_side(b, c, point, far) and one == line_side(c, a, point, far):
+                crossings += 1
     return crossings % 2 == 1

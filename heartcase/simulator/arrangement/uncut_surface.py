@@ -10,6 +10,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float64, Int32, Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.arrangement.surface_crossings import fill_buckets
+from heartcase.simulator.arrangement.surface_patches import Patches, make_patches
 from heartcase.simulator.cutting.crossings import QUANTA
 
 __all__ = ["Buckets", "UncutSurface"]
@@ -20,6 +21,8 @@ members."""
 
 _SHIFT = QUANTA.bit_length() - 2
 """Buckets have half a cell along each edge."""
+_PATCH_SHIFT = QUANTA.bit_length() + 2
+"""Patches lie in blocks of eight cells along each edge."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,10 @@ class UncutSurface:
     """Number of the edge from each corner to the next, shape (triangle_count, 3); each is of two triangles."""
     buckets: Buckets
     """Triangles by where they lie."""
+    edge_count: int
+    """Number of edges."""
+    patches: Patches
+    """What hangs together where nothing is cut."""
 
     @property
     def vertex_count(self) -> int:
@@ -67,7 +74,15 @@ class UncutSurface:
         fill_buckets(vertices, triangles, _SHIFT, low, size, first, members)
         members = np.empty(first[-1], np.int32)
         fill_buckets(vertices, triangles, _SHIFT, low, size, first, members)
-        return cls(places, triangles, vertices, _paired_edges(triangles), (_SHIFT, low, size, first, members))
+        return cls(
+            places,
+            triangles,
+            vertices,
+            _paired_edges(triangles),
+            (_SHIFT, low, size, first, members),
+            len(triangles) * 3 // 2,
+            make_patches(vertices, triangles, _PATCH_SHIFT),
+        )
 
 
 def _paired_edges(triangles: Int64) -> Int64:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32
 
 __all__ = ["ExplicitSprings", "SpringsByNode"]
@@ -111,20 +112,18 @@ class SpringsByNode:
             nodes = np.concatenate([nodes, more[0]])
             stiffness = np.concatenate([stiffness, more[1]])
             rest_length = np.concatenate([rest_length, more[2]])
-        here, there = np.concatenate([nodes, nodes[:, ::-1]]).T
-        order = np.argsort(here, kind="stable")
-        here, there, length = here[order], there[order], np.tile(rest_length, 2)[order]
-        way = (node_index[there] - node_index[here]).astype(np.float64)
-        excess = (way**2).sum(axis=1) - length**2
-        count = np.bincount(here, minlength=len(node_index))
-        return cls(
-            first=np.concatenate([[0], np.cumsum(count)]).astype(np.int32),
-            other=there.astype(np.int32),
-            offset=np.column_stack([way, length]).astype(np.float32),
-            # What rounding leaves of zero is none.
-            excess=np.where(np.abs(excess) < 1e-12 * length**2, 0.0, excess).astype(np.float32),
-            stiffness=np.tile(stiffness, 2)[order].astype(np.float32),
+        room = 2 * len(nodes)
+        found = cls(
+            first=np.zeros(len(node_index) + 1, np.int32),
+            other=np.empty(room, np.int32),
+            offset=np.empty((room, 4), np.float32),
+            excess=np.empty(room, np.float32),
+            stiffness=np.empty(room, np.float32),
         )
+        if room:
+            how = (found.first, found.other, found.offset, found.excess, found.stiffness)
+            _sort_by_node(nodes, stiffness, rest_length, node_index, *how)
+        return found
 
     def forces(self, displacement: npt.ArrayLike) -> Float64:
         """Force on every node [grid units], shape (node_count, 3), float64; displacements in cells."""
@@ -139,3 +138,40 @@ class SpringsByNode:
         force = np.zeros_like(u)
         np.add.at(force, here, pull[:, None] * d)
         return force
+
+
+@kernel
+def _sort_by_node(
+    nodes: Int32,
+    stiffness: Float32,
+    rest_length: Float64,
+    node_index: Int32,
+    first: Int32,
+    other: Int32,
+    offset: Float32,
+    excess: Float32,
+    stiffnesses: Float32,
+) -> None:
+    """Write what SpringsByNode has of some springs; at each node those come first of which it is the first end."""
+    for spring in range(len(nodes)):
+        for end in range(2):
+            first[nodes[spring, end] + 1] += 1
+    for node in range(len(node_index)):
+        first[node + 1] += first[node]
+    filled = first.copy()
+    for end in range(2):
+        for spring in range(len(nodes)):
+            here, there = nodes[spring, end], nodes[spring, 1 - end]
+            place, length = filled[here], rest_length[spring]
+            filled[here] += 1
+            square = 0.0
+            for axis in range(3):
+                way = np.float64(node_index[there, axis] - node_index[here, axis])
+                square += way * way
+                offset[place, axis] = way
+            other[place] = there
+            offset[place, 3] = length
+            more = square - length * length
+            # What rounding leaves of zero is none.
+            excess[place] = 0.0 if abs(more) < 1e-12 * (length * length) else more
+            stiffnesses[place] = stiffness[spring]

@@ -159,15 +159,21 @@ class LatticeModel:
 
         The springs of elements act in cells that were cut.
         """
+        weight, scale = self.scaled_weight
+        return weight * scale
+
+    @property
+    def scaled_weight(self) -> tuple[Float32, np.float32]:
+        """The acting weight over a number, and that number."""
         shear = np.float32(self.law.shear_modulus)
         if not self.law.is_element:
-            return self.spring_weight * shear
+            return self.spring_weight, shear
         if self.cell_is_whole.all():
-            return np.zeros_like(self.spring_weight)
+            return np.zeros_like(self.spring_weight), shear
         cut = ~self.cell_is_whole
         stiffness = (self.cell_coverage * self.cell_stiffness)[cut].astype(float)
         weight, _ = _weights(self.cell_corners[cut], stiffness, self.node_count)
-        return weight[self.spring_direction, self.spring_nodes[:, 0]].astype(np.float32) * shear
+        return weight[self.spring_direction, self.spring_nodes[:, 0]].astype(np.float32), shear
 
     @property
     def cell_force_scale(self) -> Float32:
@@ -177,7 +183,7 @@ class LatticeModel:
     @property
     def shares_strain(self) -> bool:
         """Whether some tissue is strained by the mean around a node."""
-        return bool(self.cell_shares.any())
+        return self.law.has_shared_strain and bool(self.cell_shares.any())
 
     @property
     def shared_stiffness(self) -> Float32:
@@ -364,14 +370,15 @@ def _least_means(corners: Int32, own: Float64, is_fixed: Bool, scale: Float64) -
         for corner in range(8):
             total[corners[cell, corner]] += own[cell]
             count[corners[cell, corner]] += 1.0
+    for node in range(len(is_fixed)):
+        if is_fixed[node]:
+            total[node] = np.inf
+        elif total[node] > 0.0:
+            total[node] /= count[node]
     for cell in range(len(corners)):
         least = np.inf
         for corner in range(8):
-            node = corners[cell, corner]
-            if total[node] > 0.0 and not is_fixed[node]:
-                least = min(least, total[node] / count[node])
-            elif not is_fixed[node]:
-                least = min(least, 0.0)
+            least = min(least, total[corners[cell, corner]])
         scale[cell] = max(own[cell], least) if least < np.inf else own[cell]
 
 

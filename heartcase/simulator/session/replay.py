@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any, cast, get_args
 
-from heartcase.schemas.errors import Problem, RecordingError
+import numpy as np
+
+from heartcase.schemas.errors import Problem, RecordingError, UsageError
 from heartcase.schemas.recording.commands import Cut
 from heartcase.schemas.recording.reader import Recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
@@ -16,7 +18,10 @@ from heartcase.simulator.session.stored import RecordedStates, lattice_sha256
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
 
-__all__ = ["load_session", "refuse_deviation"]
+__all__ = ["FRAMES_MAX", "check_frame_count", "frame_steps", "load_session", "refuse_deviation"]
+
+FRAMES_MAX = 3000
+"""Frames that a recording is shown in at most."""
 
 
 def load_session(
@@ -119,3 +124,30 @@ def refuse_deviation(session: OperatingSession) -> None:
         f"mm there and {most:.3g} mm in all; another heartcase or another kind of processor recorded it",
         place="replay",
     )
+
+
+def check_frame_count(recording: Recording, frames_per_second: float) -> None:
+    """Refuse a recording of too many frames.
+
+    Raises
+    ------
+    UsageError
+        There would be more than :data:`FRAMES_MAX`.
+    """
+    count = round(recording.seconds * frames_per_second) + 1
+    if count > FRAMES_MAX:
+        raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: give fewer", place="--frames-per-second")
+
+
+def frame_steps(session: OperatingSession, frames_per_second: float) -> list[int]:
+    """Steps of the frames after the first; the end of a row of steps where one is near, which then is taken once."""
+    start, end = session.start_step, session.end_step
+    every = 1.0 / (frames_per_second * session.simulation.step_s)
+    ends = np.unique([start, *(entry.end_step for entry in session.entries), end])
+    wanted = np.unique([*np.round(np.arange(start + every, end, every)).astype(int), end])
+    place = np.searchsorted(ends, wanted)
+    near = np.stack([ends[np.maximum(place - 1, 0)], ends[np.minimum(place, len(ends) - 1)]])
+    nearest = near[np.abs(near - wanted).argmin(axis=0), np.arange(len(wanted))]
+    steps = np.where(np.abs(nearest - wanted) <= every / 4, nearest, wanted)
+    found: list[int] = [int(step) for step in np.unique(steps) if step > start]
+    return found

@@ -11,7 +11,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["glue_around", "join_sets", "measure_parts", "number_parts"]
+__all__ = ["glue_around", "join_sets", "join_triangles", "measure_parts", "number_parts"]
 
 
 @kernel(cached=False)
@@ -109,3 +109,30 @@ def measure_parts(places, triangles, part, volumes, areas):
         x, y, z = q[1] * r[2] - q[2] * r[1], q[2] * r[0] - q[0] * r[2], q[0] * r[1] - q[1] * r[0]
         volumes[part[n]] += x * p[0] + y * p[1] + z * p[2]
         areas[part[n]] += np.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def join_triangles(uncut, crossed, added, added_origin, added_sheet, triangles, origin, sheet):
+    """Write the triangles that are left of the uncut surface, then those that are there instead of the others.
+
+    Parameters
+    ----------
+    uncut, crossed
+        Triangles of the uncut surface, shape (uncut_count, 3), and which of them are not there any more, ascending.
+    added, added_origin, added_sheet
+        Triangles that are there instead, which of the uncut ones they are a part of, or -1, and their sheet, or -1.
+    triangles, origin, sheet
+        Written, int32, shapes (count, 3), (count,) and (count,).
+    """
+    at, start = 0, 0
+    for n in range(len(crossed) + 1):
+        stop = crossed[n] if n < len(crossed) else len(uncut)
+        for one in range(start, stop):
+            triangles[at, 0], triangles[at, 1], triangles[at, 2] = uncut[one, 0], uncut[one, 1], uncut[one, 2]
+            origin[at], sheet[at] = one, -1
+            at += 1
+        start = stop + 1
+    for n in range(len(added)):
+        triangles[at, 0], triangles[at, 1], triangles[at, 2] = added[n, 0], added[n, 1], added[n, 2]
+        origin[at], sheet[at] = added_origin[n], added_sheet[n]
+        at += 1

@@ -6,27 +6,32 @@ All follows from the uncut surface and the list of sheets: taking the last one b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
-from heartcase.simulator.arrangement.sheet_mesh import sheet_mesh
+from heartcase.simulator.arrangement.arrange import NOTHING_CROSSES, Crossings, crossings
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
-from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.splitting.gluing import join_sets
-from heartcase.simulator.splitting.surface_binding import Ties, closest_weights, tie_cells, tie_split
+from heartcase.simulator.splitting.hanging_kernels import gather_near, hang_on, write_offsets
+from heartcase.simulator.splitting.surface_binding import (
+    Seen,
+    TiedSurface,
+    Ties,
+    tie_split,
+)
 from heartcase.simulator.splitting.surface_split import SplitMesh, split_mesh
 from heartcase.simulator.surface.cpu_kernels import move_at_rest
 from heartcase.simulator.surface.deform import (
     NodeNormals,
     SurfaceModel,
     deform,
-    gather_springs,
     interpolated_basis,
     rest_normals,
     triangle_basis,
@@ -50,8 +55,12 @@ class CuttableSurface:
     """The same at rest, in the frame of the nodes."""
     normals: Float64
     """Unit normals at rest, grid axes, shape (vertex_count, 3)."""
-    cells_of_ties: Int64
-    """Cells that have the three nodes of each vertex, or -1, shape (vertex_count, 2)."""
+    curved: Int64
+    """Vertices with an interpolated basis, ascending."""
+    rest_normals: Float32
+    """Approximate normals at rest of the nodes that these need, shape (at least 1, 3)."""
+    tied: TiedSurface
+    """What its vertices follow."""
 
     @classmethod
     def of(cls, model: LatticeModel, surface: SurfaceModel) -> CuttableSurface:
@@ -66,11 +75,33 @@ class CuttableSurface:
         places = model.geometry.world_to_index(surface.rest_mm.astype(np.float64)) + 0.5
         normals = still.normals.astype(np.float64) @ model.geometry.direction_matrix
         mesh = UncutSurface.of(places, surface.triangles)
-        return cls(model, surface, mesh, normals, tie_cells(model, surface.triangle_nodes))
+        tied = TiedSurface.of(model, surface.triangle_nodes, mesh.places, mesh.triangles)
+        curved, at_rest = np.flatnonzero(surface.curvature), rest_normals(surface.normals_of)
+        return cls(model, surface, mesh, normals, curved, at_rest, tied)
 
     def samples(self) -> TissueSamples:
         """Samples of the tissue inside the surface."""
         return TissueSamples.inside(self.mesh.places, self.mesh.triangles)
+
+
+@dataclass(frozen=True)
+class SplitWork:
+    """What was found when a surface was split."""
+
+    cuttable: CuttableSurface | None
+    """The uncut surface."""
+    sheets: tuple[Sheet, ...]
+    """What it was split along."""
+    crossings: Crossings
+    seen: Seen | None
+
+    def is_begun(self, cuttable: CuttableSurface, sheets: tuple[Sheet, ...]) -> bool:
+        """Whether a split along some sheets goes on from this one."""
+        is_of_same = self.cuttable is cuttable and len(self.sheets) <= len(sheets)
+        return is_of_same and all(one is other for one, other in zip(self.sheets, sheets, strict=False))
+
+
+_NO_WORK = SplitWork(None, (), NOTHING_CROSSES, None)
 
 
 @dataclass(frozen=True)
@@ -100,6 +131,9 @@ class SplitSurface:
     uv_mm: Float32
     """Texture coordinates of cut faces: places on the sheet laid out flat, mm; else 0, shape (vertex_count, 2)."""
 
+    work: SplitWork | None = field(default=None, repr=False, compare=False)
+    """What was found for it, from which a split with more sheets goes on."""
+
     @property
     def triangle_is_cut_face(self) -> Bool:
         """Whether a triangle is a new wall, shape (triangle_count,)."""
@@ -121,7 +155,9 @@ class SplitSurface:
         return found
 
 
-def split_surface(cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequence[Sheet]) -> SplitSurface:
+def split_surface(
+    cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequence[Sheet], before: SplitSurface | None = None
+) -> SplitSurface:
     """Split a surface along sheets and tie it to the lattice that they cut.
 
     Parameters
@@ -132,44 +168,66 @@ def split_surface(cuttable: CuttableSurface, parted: PartedLattice, sheets: Sequ
         The cut lattice (:func:`heartcase.simulator.cutting.parted_lattice.part` with the same sheets).
     sheets
         What the blade swept, at rest.
+    before
+        The surface split along the first of these sheets, from which it goes on: the same bytes, and sooner.
     """
-    mesh = sheet_mesh(sheets)
-    split = split_mesh(cuttable.mesh, mesh)
-    inward, normals = _directions(cuttable, split)
-    ties = tie_split(
-        cuttable.model, parted, mesh, split, cuttable.surface.triangle_nodes, cuttable.cells_of_ties, inward
+    sheets = tuple(sheets)
+    work = None if before is None else before.work
+    if work is None or not work.is_begun(cuttable, sheets):
+        work = _NO_WORK
+    crossing = crossings(cuttable.mesh, sheets, work.crossings, len(work.sheets))
+    mesh = crossing.mesh
+    split = split_mesh(cuttable.mesh, crossing)
+    outward, normals = _directions(cuttable, split)
+    ties, seen = tie_split(
+        cuttable.model,
+        parted,
+        mesh,
+        split,
+        cuttable.tied,
+        (cuttable.normals, outward),
+        work.seen,
     )
-    cells = np.full(len(split.places), -1, np.int32)
-    old_count = cuttable.surface.vertex_count
+    count, old_count = split.vertex_count, split.old_count
+    cells, weld = np.full(count, -1, np.int32), np.arange(count, dtype=np.int32)
     cells[ties.changed] = ties.cells[: len(ties.changed)]
     cells[old_count:] = ties.cells[len(ties.changed) :]
+    weld[old_count:] = split.new_weld
+    on_triangle, on_weights = np.full(count, -1, np.int32), np.zeros((count, 3), np.float32)
+    on_triangle[old_count:], on_weights[old_count:] = split.new_on_triangle, split.new_on_weights
+    uv_mm = np.zeros((count, 2), np.float32)
+    uv_mm[old_count:] = split.new_flat * cuttable.model.cell_mm
     return SplitSurface(
         surface=_hung(cuttable, parted, split, ties, normals),
-        weld=split.weld,
+        weld=weld,
         triangle_origin=split.triangle_origin,
         triangle_sheet=split.triangle_sheet,
         triangle_part=split.triangle_part,
         vertex_cells=cells,
-        on_triangle=split.on_triangle,
-        on_weights=split.on_weights.astype(np.float32),
-        uv_mm=(split.flat * cuttable.model.cell_mm).astype(np.float32),
+        on_triangle=on_triangle,
+        on_weights=on_weights,
+        uv_mm=uv_mm,
+        work=SplitWork(cuttable, sheets, crossing, seen),
     )
 
 
 def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, Float64]:
-    """Direction into the tissue at each vertex, and normals of the new vertices; unit vectors, grid axes."""
-    old_count, whole_count = len(cuttable.normals), len(split.places)
-    rows = np.arange(len(split.triangles) - len(split.facing), len(split.triangles))
+    """Direction out of the tissue at each new vertex, and its normal; unit vectors, grid axes."""
+    old_count, whole_count = split.old_count, split.vertex_count
+    first_row = len(split.triangles) - len(split.facing)
     # Only vertices of what was divided, and new ones, are asked for.
     is_asked = np.zeros(whole_count, np.bool_)
-    is_asked[split.triangles[rows]] = True
+    is_asked[split.triangles[first_row:]] = True
     is_asked[old_count:] = True
     asked = np.flatnonzero(is_asked)
-    number = np.cumsum(is_asked) - 1
-    triangles, facing, weld = number[split.triangles[rows]], split.facing, number[split.weld[asked]]
+    number = np.empty(whole_count, np.int64)
+    number[asked] = np.arange(len(asked))
     count, first_new = len(asked), len(asked) - (whole_count - old_count)
+    triangles, facing = number[split.triangles[first_row:]], split.facing
+    weld = np.concatenate([np.arange(first_new), number[split.new_weld]])
+    places_asked = np.concatenate([split.uncut_places[asked[:first_new]], split.new_places])
     # By the angle at the corner: how a side is divided into triangles does not count.
-    corners = split.places[asked][triangles]
+    corners = places_asked[triangles]
     ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     angle = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=2), np.einsum("tcx,tcx->tc", ahead, back))
     angle += 0.3  # a side that is too thin counts, too
@@ -191,16 +249,16 @@ def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, F
     normals = _unit(own)
     normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, first)
     is_lip = np.zeros(count, np.bool_)
-    is_lip[triangles[split.triangle_origin[rows] >= 0].ravel()] = True
-    on = np.flatnonzero((split.on_triangle[asked] >= 0) & is_lip)
-    of_corners = cuttable.normals[cuttable.mesh.triangles[split.on_triangle[asked[on]]]]
-    smooth = _unit(np.einsum("nc,ncx->nx", split.on_weights[asked[on]], of_corners))
+    is_lip[triangles[split.triangle_origin[first_row:] >= 0].ravel()] = True
+    lips = np.flatnonzero((split.new_on_triangle >= 0) & is_lip[first_new:])
+    on = first_new + lips
+    of_corners = cuttable.normals[cuttable.mesh.triangles[split.new_on_triangle[lips]]]
+    smooth = _unit(np.einsum("nc,ncx->nx", split.new_on_weights[lips], of_corners))
     normals[on] = np.where(np.linalg.norm(smooth, axis=1, keepdims=True) > 0, smooth, normals[on])
     outward = _unit(together)
     for spare in (outward, np.array([0.0, 0.0, 1.0])):
         normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, spare)
-    inward = np.concatenate([-cuttable.normals, -outward[first_new:]])
-    return inward, normals[first_new:]
+    return outward[first_new:], normals[first_new:]
 
 
 def _hung(
@@ -208,13 +266,13 @@ def _hung(
 ) -> SurfaceModel:
     """The surface with its new vertices, and those that follow other nodes than before."""
     before, model = cuttable.surface, parted.model
-    old_count, count = before.vertex_count, len(split.places)
+    old_count, count = before.vertex_count, split.vertex_count
     new = np.arange(old_count, count)
     rows = np.concatenate([ties.changed, new])
 
     def grown(values: Any) -> Any:
-        room = np.zeros((count, *values.shape[1:]), values.dtype)
-        room[:old_count] = values
+        room = np.empty((count, *values.shape[1:]), values.dtype)
+        room[:old_count], room[old_count:] = values, 0
         return room
 
     arrays: dict[str, Any] = {
@@ -232,44 +290,36 @@ def _hung(
         )
     }
     arrays["triangle_nodes"][rows] = ties.nodes
-    arrays["rest_mm"][new] = model.geometry.index_to_world(split.places[new] - 0.5).astype(np.float32)
-    normals_of, arrays["normal_number"], is_bent_anew = _node_normals(before, parted, arrays, ties)
+    arrays["rest_mm"][new] = model.geometry.index_to_world(split.new_places - 0.5).astype(np.float32)
+    normals_of, at_rest, is_bent_anew = _node_normals(cuttable, parted, arrays, ties)
 
     tied_anew = np.concatenate([ties.changed[ties.is_tied_anew], new])
     arrays["curvature"][tied_anew] = 0
     arrays["normal_number"][tied_anew] = 0
     redone = np.concatenate([tied_anew, is_bent_anew])
-    corners = model.node_index[arrays["triangle_nodes"][redone]].astype(np.float64)
-    places = split.places[redone]
-    anew = len(tied_anew)
-    arrays["weights"][tied_anew] = closest_weights(places[:anew], corners[:anew]).astype(np.float32)
-    edges = corners[:, 1:] - corners[:, :1]
-    arrays["edges"][redone] = edges.astype(np.float32)
-    basis = triangle_basis(edges)
-    bent = arrays["curvature"][redone] != 0
-    if bent.any():
-        weights = arrays["weights"][redone[bent]]
-        at_rest = rest_normals(normals_of)[arrays["normal_number"][redone[bent]]]
-        curved, defined = interpolated_basis(edges[bent], weights, at_rest)
-        basis[np.flatnonzero(bent)[defined]] = curved[defined]
-        arrays["curvature"][redone[bent][~defined]] = 0
-    away = places - np.einsum("vi,vix->vx", arrays["weights"][redone].astype(np.float64), corners)
-    facing = np.concatenate([cuttable.normals, new_normals])[redone]
-    arrays["offset"][redone] = np.einsum("vbx,vx->vb", basis, away).astype(np.float32)
-    arrays["normal"][redone] = np.einsum("vbx,vx->vb", basis, facing).astype(np.float32)
-    turn = np.empty((len(redone), 3), np.float32)
-    move_at_rest(
-        np.ascontiguousarray(arrays["triangle_nodes"][redone]),
-        np.ascontiguousarray(arrays["weights"][redone]),
-        np.ascontiguousarray(arrays["edges"][redone]),
-        np.ascontiguousarray(arrays["curvature"][redone]),
-        np.ascontiguousarray(arrays["offset"][redone]),
-        np.ascontiguousarray(arrays["normal_number"][redone]),
-        rest_normals(normals_of),
-        np.zeros((model.node_count, 3), np.float32),
-        turn,
-    )
-    arrays["rest_turn"][redone] = turn
+    nodes, places = arrays["triangle_nodes"][redone], split.places_of(redone)
+    edges, basis = np.empty((len(redone), 2, 3), np.float32), np.empty((len(redone), 3, 3))
+    weights, curvature = arrays["weights"][redone], arrays["curvature"][redone]
+    if hang_on(places, nodes, model.node_index, len(tied_anew), weights, edges, basis) < 1e-6:
+        corners = model.node_index[nodes].astype(np.float64)
+        triangle_basis(corners[:, 1:] - corners[:, :1])
+    bent = np.flatnonzero(curvature)
+    numbers = arrays["normal_number"][redone]
+    if len(bent):
+        curved, defined = interpolated_basis(edges[bent].astype(np.float64), weights[bent], at_rest[numbers[bent]])
+        basis[bent[defined]] = curved[defined]
+        curvature[bent[~defined]] = 0
+    is_old = redone < old_count
+    facing = np.empty((len(redone), 3))
+    facing[is_old], facing[~is_old] = cuttable.normals[redone[is_old]], new_normals[redone[~is_old] - old_count]
+    offset, normal, turn = (np.empty((len(redone), 3), np.float32) for _ in range(3))
+    write_offsets(places, nodes, model.node_index, weights, basis, facing, offset, normal)
+    still = np.zeros((model.node_count, 3), np.float32)
+    move_at_rest(nodes, weights, edges, curvature, offset, numbers, at_rest, still, turn)
+    redone_arrays = (weights, edges, curvature, offset, normal, turn)
+    names = ("weights", "edges", "curvature", "offset", "normal", "rest_turn")
+    for name, values in zip(names, redone_arrays, strict=True):
+        arrays[name][redone] = values
     return replace(
         before,
         triangles=split.triangles,
@@ -280,24 +330,30 @@ def _hung(
 
 
 def _node_normals(
-    before: SurfaceModel, parted: PartedLattice, arrays: dict[str, Any], ties: Ties
-) -> tuple[NodeNormals, Int32, Int64]:
-    """Springs for approximate normals, numbers for each vertex, and bent vertices of which a normal at rest changed."""
-    pieces = parted.pieces
-    is_around = np.zeros(parted.model.node_count, np.bool_)
-    is_around[parted.model.cell_corners[np.isin(parted.cell_origin, pieces.cells)].ravel()] = True
-    numbers = arrays["normal_number"]
-    kept = np.ones(len(before.weights), np.bool_)
+    cuttable: CuttableSurface, parted: PartedLattice, arrays: dict[str, Any], ties: Ties
+) -> tuple[NodeNormals, Float32, Int64]:
+    """Springs for approximate normals, these at rest, and bent vertices of which one at rest changed.
+
+    The numbers of the normals of each vertex are written.
+    """
+    before, model = cuttable.surface, parted.model
+    old, old_at_rest, nothing = before.normals_of, cuttable.rest_normals, np.zeros(0, np.int64)
+    # Of the cells that sheets come to the first piece keeps the number, and the others follow.
+    is_around = np.zeros(model.node_count, np.bool_)
+    is_around[model.cell_corners[parted.pieces.cells]] = True
+    is_around[model.cell_corners[cuttable.model.cell_count :]] = True
+    curved = cuttable.curved
+    kept = np.ones(before.vertex_count, np.bool_)
     kept[ties.changed[ties.is_tied_anew]] = False
-    curved = np.flatnonzero((before.curvature != 0) & kept)
-    touched = curved[is_around[arrays["triangle_nodes"][curved]].any(axis=1)]
-    nothing = np.zeros(0, np.int64)
+    nodes = arrays["triangle_nodes"][curved]
+    touched_rows = np.flatnonzero(kept[curved] & is_around[nodes].any(axis=1))
+    touched, nodes = curved[touched_rows], nodes[touched_rows]
     if not len(touched):
-        return before.normals_of, numbers, nothing
-    nodes = arrays["triangle_nodes"][touched]
-    around = np.unique(nodes[is_around[nodes]])
-    added = gather_springs(parted.model, around)
-    old = before.normals_of
+        return old, old_at_rest, nothing
+    is_near = np.zeros(model.node_count, np.bool_)
+    is_near[nodes[is_around[nodes]]] = True
+    around = np.flatnonzero(is_near)
+    added = _gathered(model, around)
     first = np.concatenate([old.first, old.first[-1] + added.first[1:]]).astype(np.int32)
     joined = NodeNormals(
         np.concatenate([old.nodes, added.nodes]),
@@ -305,11 +361,27 @@ def _node_normals(
         np.concatenate([old.neighbours, added.neighbours]),
         np.concatenate([old.offset, added.offset]),
     )
-    number = len(old.nodes) + np.searchsorted(around, nodes)
-    numbers[touched] = np.where(is_around[nodes], number, numbers[touched]).astype(np.int32)
-    at_rest = rest_normals(joined)
-    is_same = (at_rest[numbers[touched]] == at_rest[before.normal_number[touched]]).all(axis=(1, 2))
-    return joined, numbers, touched[~is_same]
+    at_rest = np.concatenate([old_at_rest[: len(old.nodes)], rest_normals(added)])
+    number_of = np.empty(model.node_count, np.int32)
+    number_of[around] = len(old.nodes) + np.arange(len(around))
+    was = before.normal_number[touched]
+    numbers = np.where(is_around[nodes], number_of[nodes], was)
+    arrays["normal_number"][touched] = numbers
+    is_same = (at_rest[numbers] == at_rest[was]).all(axis=(1, 2))
+    return joined, at_rest, touched[~is_same]
+
+
+def _gathered(model: LatticeModel, nodes: Int64) -> NodeNormals:
+    """The springs of some nodes, as :func:`heartcase.simulator.surface.deform.gather_springs` gives them."""
+    first, room = np.empty(len(nodes) + 1, np.int32), 24 * len(nodes)
+    while True:
+        neighbours, offset = np.empty(room, np.int32), np.empty((room, 3), np.float32)
+        count = gather_near(
+            model.spring_nodes, model.spring_direction, DIRECTIONS, model.node_count, nodes, first, neighbours, offset
+        )
+        if count <= room:
+            return NodeNormals(nodes.astype(np.int32), first, neighbours[:count].copy(), offset[:count].copy())
+        room = count
 
 
 def _drawn(before: SurfaceModel, normal: Float32) -> dict[str, Any]:

@@ -9,21 +9,41 @@ belongs to is asked of a point a little inside the tissue behind it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
+from heartcase.simulator.arrangement.merged_rows import number_rows
 from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
 from heartcase.simulator.arrangement.surface_crossings import fill_buckets
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
+from heartcase.simulator.cutting.pieces import Pieces
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.splitting.gluing import number_parts
-from heartcase.simulator.splitting.near_sheets import add_ways_to_middles, in_marked_cells
-from heartcase.simulator.splitting.seen_pieces import PieceCells, SheetBuckets, nearest_halves, see_cells
+from heartcase.simulator.splitting.near_sheets import (
+    add_ways_near,
+    add_ways_to_middles,
+    copies_of,
+    list_around,
+    near_cells,
+    order_by_reach,
+)
+from heartcase.simulator.splitting.seen_pieces import (
+    NOTHING_SEEN,
+    Answers,
+    CellsByIndex,
+    PieceCells,
+    SheetBuckets,
+    index_answers,
+    mark_changes,
+    nearest_halves,
+    see_pieces,
+)
 from heartcase.simulator.splitting.surface_split import SplitMesh
 
-__all__ = ["Ties", "closest_weights", "tie_cells", "tie_split"]
+__all__ = ["LatticeCells", "Seen", "TiedSurface", "Ties", "closest_weights", "tie_cells", "tie_split"]
 
 _INSIDE = 2.0**-9
 """How far inside the tissue a vertex is asked what it belongs to [cells]."""
@@ -31,10 +51,70 @@ _ASIDE = 2.0**-9
 """How far off towards its triangles, and a quarter of that inside [cells]: more than places are rounded by."""
 _PLACES = 2.0**22
 """Vertices whose places are the same when rounded by this are of one lip [1 / cell]."""
-_AROUND: Int64 = np.stack(np.meshgrid(*[[0, -1, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 _FACE_CORNERS = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
 """Corners of a cell's faces, counter-clockwise from outside."""
 _HALF_FACES = np.stack([_FACE_CORNERS[:, [0, 1, 2]], _FACE_CORNERS[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class LatticeCells:
+    """Cells of an uncut lattice, by where they are."""
+
+    by_index: CellsByIndex
+    middles: Float64
+    """Middle of the tissue of each [cells], shape (cell_count, 3)."""
+    low: Int64
+    """Lowest index (i, j, k) of a cell."""
+    high: Int64
+    """Highest index of a cell."""
+
+    @classmethod
+    def of(cls, model: LatticeModel) -> LatticeCells:
+        """Those of a lattice."""
+        middles = model.cells.astype(np.float64) + 0.5 + model.cell_moments[:, :3].astype(np.float64)
+        low, high = (model.cells.min(axis=0).astype(np.int64), model.cells.max(axis=0).astype(np.int64))
+        numbers = np.full(tuple(high - low + 1), -1, np.int32)
+        numbers[tuple((model.cells - low).T)] = np.arange(model.cell_count)
+        return cls(CellsByIndex(low, numbers), middles, low, high)
+
+
+@dataclass(frozen=True)
+class TiedSurface:
+    """What an uncut surface follows."""
+
+    cells: LatticeCells
+    """Cells of the uncut lattice."""
+    triangle_nodes: Int32
+    """Nodes that the vertices follow, shape (vertex_count, 3)."""
+    cells_of_ties: Int64
+    """Cells that have these (:func:`tie_cells`), shape (vertex_count, 2)."""
+    box_cells: Int32
+    """Number of the cell that each vertex lies in, in a box two cells around all cells, or -1, (vertex_count,)."""
+    around: tuple[Int64, Int64, Int32]
+    """Triangles, and those around each vertex: where each begins, and these, ascending."""
+
+    @classmethod
+    def of(cls, model: LatticeModel, triangle_nodes: Int32, places: Float64, triangles: Int64) -> TiedSurface:
+        """What a surface follows.
+
+        Parameters
+        ----------
+        model
+            The uncut lattice.
+        triangle_nodes
+            Nodes that the vertices follow, shape (vertex_count, 3).
+        places, triangles
+            Rest places of the vertices [cells], shape (vertex_count, 3), and vertex numbers.
+        """
+        cells = LatticeCells.of(model)
+        shape = cells.high - cells.low + 5
+        index = np.floor(places).astype(np.int64) - cells.low + 2
+        is_in = ((index >= 0) & (index < shape)).all(axis=1)
+        box_cells = np.full(len(places), -1, np.int32)
+        box_cells[is_in] = np.ravel_multi_index(tuple(index[is_in].T), tuple(shape))
+        first, members = np.zeros(len(places) + 1, np.int64), np.empty(triangles.size, np.int32)
+        list_around(triangles, first, members)
+        return cls(cells, triangle_nodes, tie_cells(model, triangle_nodes), box_cells, (triangles, first, members))
 
 
 @dataclass(frozen=True)
@@ -113,59 +193,93 @@ def closest_weights(points: Float64, corners: Float64) -> Float64:
     return np.concatenate([1.0 - two.sum(axis=1, keepdims=True), two], axis=1)
 
 
+class Seen(NamedTuple):
+    """What was seen when a surface was split, so that a split that goes on from it need not look again."""
+
+    pieces: Pieces
+    """What was cut of the cells."""
+    sheet_count: int
+    """How many sheets cut them."""
+    answers: Answers
+
+
 class _Sight:
     """What points see of a cut lattice."""
 
-    def __init__(self, model: LatticeModel, parted: PartedLattice, mesh: SheetMesh) -> None:
+    def __init__(
+        self,
+        cells: LatticeCells,
+        model: LatticeModel,
+        parted: PartedLattice,
+        mesh: SheetMesh,
+        pairs: Int64,
+        before: Seen | None,
+    ) -> None:
         pieces = parted.pieces
+        self._cells, self._pairs, self._pieces = cells, pairs, pieces
+        self._model, self._asked = model, list[Answers]()
+        self._sheet_count = int(mesh.sheet.max(initial=-1)) + 1
         rows = np.full(model.cell_count, -1)
         rows[pieces.cells] = np.arange(len(pieces.cells))
-        is_first = np.zeros(pieces.counts.sum(), np.bool_)
-        is_first[pieces.first] = True
-        of_piece = np.repeat(pieces.cells, pieces.counts)
-        of_piece[~is_first] = model.cell_count + np.arange((~is_first).sum())
-        middles = model.cells.astype(np.float64) + 0.5 + model.cell_moments[:, :3].astype(np.float64)
-        self.tissue = PieceCells(model.cells, middles, rows, pieces.samples, pieces.first, of_piece)
+        self._tissue = PieceCells(model.cells, cells.middles, rows, pieces.samples)
         shift = 12
         reached = mesh.vertices[mesh.triangles.ravel()] if len(mesh.triangles) else np.zeros((1, 3), np.int64)
-        low = np.maximum((reached.min(axis=0)) >> shift, model.cells.min(axis=0) - 3)
-        high = np.minimum((reached.max(axis=0)) >> shift, model.cells.max(axis=0) + 3)
+        low = np.maximum((reached.min(axis=0)) >> shift, cells.low - 3)
+        high = np.minimum((reached.max(axis=0)) >> shift, cells.high + 3)
         size = np.maximum(high - low + 1, 1)
         first, members = np.zeros(int(size.prod()) + 1, np.int64), np.zeros(0, np.int32)
         fill_buckets(mesh.vertices, mesh.triangles, shift, low, size, first, members)
         members = np.empty(first[-1], np.int32)
         fill_buckets(mesh.vertices, mesh.triangles, shift, low, size, first, members)
-        self.sheets = SheetBuckets(mesh.vertices, mesh.triangles, low, size, first, members)
-        self._model = model
+        self._buckets = SheetBuckets(mesh.vertices, mesh.triangles, low, size, first, members)
+        self._known, self._table = NOTHING_SEEN, np.zeros(0, np.int32)
+        self._changes = np.zeros(0, np.bool_), cells.low, np.zeros((0, 0, 0), np.bool_)
+        if before is not None:
+            self._look_up(mesh, before)
 
-    def of(self, points: Float64, candidates: Int64, *, takes_first: bool) -> Int64:
-        """Cell of the cut lattice that each point sees among candidates, shape (count, any), -1 for none."""
-        is_there = candidates >= 0
-        first = np.append(0, np.cumsum(is_there.sum(axis=1)))
-        seen = np.empty(len(points), np.int64)
-        see_cells(points, first, candidates[is_there], takes_first, self.tissue, self.sheets, seen)
-        return seen
+    def _look_up(self, mesh: SheetMesh, before: Seen) -> None:
+        self._known = before.answers
+        self._table = np.empty(1 << (2 * len(self._known.codes) + 1).bit_length(), np.int32)
+        index_answers(self._known, self._table)
+        low, size = self._cells.low - 3, tuple(self._cells.high - self._cells.low + 7)
+        self._changes = np.zeros(self._model.cell_count, np.bool_), low, np.zeros(size, np.bool_)
+        was, now = ((each.cells, each.samples) for each in (before.pieces, self._pieces))
+        mark_changes(mesh.vertices, mesh.triangles, mesh.sheet, before.sheet_count, was, now, *self._changes)
 
-    def own(self, points: Float64) -> Int64:
-        """Cell that each point belongs to: its own, or one around it; the nearest of these if it sees none."""
-        places = np.floor(points).astype(np.int64)
-        around = places[:, None] + _AROUND
-        found = _cells_at(self._model, around)
-        middle = around + 0.5 - points[:, None]
-        order = np.argsort(np.einsum("ncx,ncx->nc", middle, middle), axis=1, kind="stable")
-        found = np.take_along_axis(found, order, axis=1)
-        seen = self.of(points, found, takes_first=True)
-        lost = np.flatnonzero(seen < 0)
-        if len(lost):
-            nearest = np.where((found[lost] >= 0).any(axis=1), (found[lost] >= 0).argmax(axis=1), 0)
-            cell = found[lost, nearest]
-            seen[lost] = np.where(cell >= 0, cell, self._nearest(points[lost]))
-        return seen
+    def of(self, points: Float64, codes: Int64) -> Int64:
+        """Cell of the cut lattice that each point sees of the two that a vertex is tied to, or -1, shape (count,).
 
-    def _nearest(self, points: Float64) -> Int64:
-        away = self.tissue.middles[None] - points[:, None]
-        nearest: Int64 = np.einsum("ncx,ncx->nc", away, away).argmin(axis=1)
-        return nearest
+        With code -1 that which it belongs to: its own, or one around it; the nearest of these if it sees none.
+        """
+        bits = points.view(np.int64)
+        cells, pieces = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+        see_pieces(
+            points,
+            bits,
+            codes,
+            self._pairs,
+            self._cells.by_index,
+            self._tissue,
+            self._buckets,
+            self._known,
+            self._table,
+            self._changes,
+            cells,
+            pieces,
+        )
+        self._asked.append(Answers(bits, codes, cells, pieces))
+        rows = self._tissue.rows[cells]
+        number = self._pieces.first[rows] + pieces if len(self._pieces.cells) else pieces
+        # The first piece keeps the number of its cell; the others follow all cells.
+        later = self._model.cell_count + number - (rows + 1)
+        found: Int64 = np.where((cells >= 0) & (pieces > 0), later, cells)
+        return found
+
+    @property
+    def seen(self) -> Seen:
+        """All that was asked."""
+        answers = Answers(*(np.concatenate(each) for each in zip(*self._asked, strict=True)))
+        return Seen(self._pieces, self._sheet_count, answers)
 
 
 def tie_split(
@@ -173,10 +287,10 @@ def tie_split(
     parted: PartedLattice,
     mesh: SheetMesh,
     split: SplitMesh,
-    triangle_nodes: Int32,
-    cells_of_ties: Int64,
-    inward: Float64,
-) -> Ties:
+    tied: TiedSurface,
+    outward: tuple[Float64, Float64],
+    before: Seen | None = None,
+) -> tuple[Ties, Seen]:
     """Find nodes for vertices of a split surface.
 
     Parameters
@@ -187,35 +301,36 @@ def tie_split(
         What cut it.
     split
         The surface, split.
-    triangle_nodes, cells_of_ties
-        Nodes that the vertices of the uncut surface follow, shape (vertex_count, 3), and the cells that have these
-        (:func:`tie_cells`).
-    inward
-        Direction into the tissue at each vertex of the split surface, shape (split_vertex_count, 3).
+    tied
+        What the uncut surface follows.
+    outward
+        Direction out of the tissue at each vertex of the uncut surface, and at each new one, shape (count, 3).
+    before
+        What was seen when the first of these sheets had been swept: the same is found without it.
     """
-    sight = _Sight(model, parted, mesh)
-    old_count, count = len(triangle_nodes), len(split.places)
-    points = split.places + _INSIDE * inward
-
-    near = _near_sheets(model, parted, split.places[:old_count])
-    aside = _towards_own_triangles(split, near) + 0.25 * inward[near]
-    points[near] = split.places[near] + _ASIDE * aside
-    seen = sight.of(points[near], cells_of_ties[near], takes_first=False)
+    triangle_nodes, cells_of_ties = tied.triangle_nodes, tied.cells_of_ties
+    sight = _Sight(tied.cells, model, parted, mesh, cells_of_ties, before)
+    old_count, count = split.old_count, split.vertex_count
+    near = _near_sheets(model, parted, tied)
+    aside = _towards_own_triangles(split, tied, near) - 0.25 * outward[0][near]
+    points = split.uncut_places[near] + _ASIDE * aside
+    seen = sight.of(points, near)
     lost = seen < 0
     nodes = _corners_of(parted, np.where(lost, 0, seen), triangle_nodes[near])
-    own = sight.own(points[near[lost]])
+    own = sight.of(points[lost], np.full(lost.sum(), -1))
     seen[lost] = own
-    nodes[lost] = _half_faces(parted, own, split.places[near[lost]])
+    nodes[lost] = _half_faces(parted, own, split.uncut_places[near[lost]])
     is_changed = lost | (nodes != triangle_nodes[near]).any(axis=1)
     changed = near[is_changed]
 
     # New vertices: those that are one, once.
-    new = np.arange(old_count, count)
-    main = np.flatnonzero(split.weld[new] == new) + old_count
-    main_cells = sight.own(points[main])
+    main = np.flatnonzero(split.new_weld == np.arange(old_count, count))
+    places = split.new_places[main]
+    points = places - _INSIDE * outward[1][main]
+    main_cells = sight.of(points, np.full(len(points), -1))
     main_nodes = np.full((len(main), 3), -1, np.int32)
-    place = np.unique(np.round(split.places[main] * _PLACES), axis=0, return_inverse=True)[1].ravel()
-    on = split.on_triangle[main]
+    place = number_rows(np.round(places * _PLACES).astype(np.int64))
+    on = split.new_on_triangle[main]
     is_open = on >= 0
     by_reach = _corners_by_reach(model, split, triangle_nodes, main)
     for rank in range(3):
@@ -223,15 +338,15 @@ def tie_split(
         if not len(rows):
             break
         corner = split.uncut_triangles[on[rows], by_reach[rows, rank]]
-        found = sight.of(points[main[rows]], cells_of_ties[corner], takes_first=False)
+        found = sight.of(points[rows], corner)
         missing = np.bincount(place[rows], found < 0, minlength=int(place.max(initial=-1)) + 1) > 0
         fits = ~missing[place[rows]]
         rows, found, corner = rows[fits], found[fits], corner[fits]
         main_cells[rows], is_open[rows] = found, False
         main_nodes[rows] = _corners_of(parted, found, triangle_nodes[corner])
     rows = np.flatnonzero(main_nodes[:, 0] < 0)
-    main_nodes[rows] = _half_faces(parted, main_cells[rows], split.places[main[rows]])
-    at = np.searchsorted(main, split.weld[new])
+    main_nodes[rows] = _half_faces(parted, main_cells[rows], places[rows])
+    at = np.searchsorted(main, split.new_weld - old_count)
     ties = Ties(
         changed,
         lost[is_changed],
@@ -241,18 +356,23 @@ def tie_split(
     ties = _with_their_parts(parted, split, triangle_nodes, ties)
     # Tied anew to copies of the nodes that it had, a vertex keeps its place among them.
     is_same = (parted.node_origin[ties.nodes[: len(ties.changed)]] == triangle_nodes[ties.changed]).all(axis=1)
-    return replace(ties, is_tied_anew=ties.is_tied_anew & ~is_same)
+    return replace(ties, is_tied_anew=ties.is_tied_anew & ~is_same), sight.seen
 
 
-def _towards_own_triangles(split: SplitMesh, vertices: Int64) -> Float64:
-    """Unit vectors from some vertices to the middle of their triangles, shape (count, 3): off a sheet that they lie on.
+def _towards_own_triangles(split: SplitMesh, tied: TiedSurface, vertices: Int64) -> Float64:
+    """Unit vectors from old vertices to the middle of their triangles, shape (count, 3): off a sheet that they lie on.
 
     On which side of it a vertex is, no place tells, but the triangles that it has.
     """
-    row = np.full(len(split.places), -1)
+    row = np.full(split.vertex_count, -1, np.int32)
     row[vertices] = np.arange(len(vertices))
     total = np.zeros((len(vertices), 3))
-    add_ways_to_middles(split.triangles, split.places, row, total)
+    places = split.uncut_places, split.new_places
+    if split.crossed is None:
+        add_ways_to_middles(split.triangles, *places, row, total)
+    else:
+        added = split.triangles[len(split.triangles) - len(split.facing) :]
+        add_ways_near(vertices, tied.around, split.crossed, added, *places, row, total)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     towards: Float64 = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
     return towards
@@ -265,7 +385,7 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
     """
     if split.triangle_part.max(initial=0) == 0:
         return ties
-    model, old_count, count = parted.model, len(triangle_nodes), len(split.places)
+    model, old_count, count = parted.model, split.old_count, split.vertex_count
     of_cell = number_parts(model.cell_corners, model.node_count)
     if of_cell.max() == 0:
         return ties
@@ -287,15 +407,15 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
     wrong = np.flatnonzero((surface_part >= 0) & (follows != wanted) & np.isin(follows, most))
     if not len(wrong):
         return ties
-    middles = model.cells + 0.5
+    middles, places = model.cells + 0.5, split.places_of(wrong)
     cells = np.empty(len(wrong), np.int64)
     for part in np.unique(wanted[wrong]).tolist():
         of_part = np.flatnonzero(of_cell == part)
         mine = np.flatnonzero(wanted[wrong] == part)
         for row in mine.tolist():
-            away = middles[of_part] - split.places[wrong[row]]
+            away = middles[of_part] - places[row]
             cells[row] = of_part[np.einsum("nx,nx->n", away, away).argmin()]
-    halves = _half_faces(parted, cells, split.places[wrong])
+    halves = _half_faces(parted, cells, places)
     at_row = np.full(count, -1)
     at_row[rows] = np.arange(len(rows))
     added = wrong[at_row[wrong] < 0]
@@ -309,48 +429,32 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
 
 
 def _corners_by_reach(model: LatticeModel, split: SplitMesh, triangle_nodes: Int32, vertices: Int64) -> Int64:
-    """Corners of the triangle that each vertex lies on, that first whose three nodes are nearest, shape (count, 3)."""
-    away = np.zeros((len(vertices), 3))
-    corners = split.uncut_triangles[split.on_triangle[vertices]]
-    for corner in range(3):
-        places = model.node_index[triangle_nodes[corners[:, corner]]].astype(np.float64)
-        weights = closest_weights(split.places[vertices], places)
-        away[:, corner] = np.linalg.norm(np.einsum("nc,ncx->nx", weights, places) - split.places[vertices], axis=1)
+    """Corners of the triangle that each new vertex lies on, that first whose nodes are nearest, shape (count, 3)."""
+    corners = split.uncut_triangles[split.new_on_triangle[vertices]]
+    order = np.empty((len(vertices), 3), np.int64)
     # Both lips of a cut choose alike.
-    order: Int64 = np.argsort(np.round(away * _PLACES), axis=1, kind="stable")
+    order_by_reach(split.new_places[vertices], corners, triangle_nodes, model.node_index, _PLACES, order)
     return order
 
 
-def _near_sheets(model: LatticeModel, parted: PartedLattice, places: Float64) -> Int64:
-    """Vertices within two cells of those that a sheet comes to."""
-    cells = model.cells[parted.pieces.cells]
-    if not len(cells):
-        return np.zeros(0, np.int64)
-    low = cells.min(axis=0) - 1
-    size = cells.max(axis=0) + 2 - low
-    grown = np.zeros(tuple(size), np.bool_)
-    grown[tuple((cells - low).T)] = True
-    for axis in range(3):
-        rows = np.moveaxis(grown, axis, 0)
-        before = rows.copy()
-        rows[1:] |= before[:-1]
-        rows[:-1] |= before[1:]
-    found = np.empty(len(places), np.int64)
-    return found[: in_marked_cells(places, low.astype(np.int64), grown, found)].copy()
+def _near_sheets(model: LatticeModel, parted: PartedLattice, tied: TiedSurface) -> Int64:
+    """Vertices of the uncut surface in cells that a sheet comes to, or beside these."""
+    cells = tied.cells
+    found = np.empty(len(tied.box_cells), np.int64)
+    indices = model.cells[parted.pieces.cells] - (cells.low - 2)
+    return found[: near_cells(indices, cells.high - cells.low + 5, tied.box_cells, found)].copy()
 
 
 def _corners_of(parted: PartedLattice, cells: Int64, nodes: Int32) -> Int32:
     """Corners of cells of the cut lattice that are, or are copies of, nodes, shape (count, 3)."""
-    corners = parted.model.cell_corners[cells]
-    origins = parted.node_origin[corners]
-    which = (origins[:, None, :] == nodes[:, :, None]).argmax(axis=2)
-    found: Int32 = np.take_along_axis(corners, which, axis=1)
+    found = np.empty((len(cells), 3), np.int32)
+    copies_of(parted.model.cell_corners, parted.node_origin, cells, nodes, found)
     return found
 
 
 def _half_faces(parted: PartedLattice, cells: Int64, points: Float64) -> Int32:
     """Nodes of the half of a face of each cell that is nearest to a point, shape (count, 3)."""
-    chosen = np.zeros(len(cells), np.int64)
-    nearest_halves(points, parted.model.cells[cells], _HALF_FACES, CORNER_OFFSETS, chosen)
-    nodes: Int32 = np.take_along_axis(parted.model.cell_corners[cells], _HALF_FACES[chosen], axis=1)
+    nodes = np.empty((len(cells), 3), np.int32)
+    model = parted.model
+    nearest_halves(points, cells, model.cells, model.cell_corners, _HALF_FACES, CORNER_OFFSETS, nodes)
     return nodes

@@ -15,14 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
-from heartcase.simulator.arrangement.arrange import Arrangement, arrange
+from heartcase.simulator.arrangement.arrange import Arrangement, Crossings, arrange
 from heartcase.simulator.arrangement.sheet_crossings import barycentric
 from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
 from heartcase.simulator.arrangement.surface_crossings import is_inside
+from heartcase.simulator.arrangement.surface_patches import number_split_parts
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.crossings import QUANTA
 from heartcase.simulator.splitting.double_edges import Corners, separate_fans, without_double_edges
-from heartcase.simulator.splitting.gluing import glue_around, join_sets, measure_parts, number_parts
+from heartcase.simulator.splitting.gluing import glue_around, join_sets, join_triangles, measure_parts
 
 __all__ = ["SplitMesh", "split_mesh"]
 
@@ -54,32 +55,80 @@ class SplitMesh:
     """Triangle of the uncut surface that each is, or is a part of, or -1 for walls, shape (triangle_count,)."""
     triangle_sheet: Int32
     """Sheet that each wall is made by, or -1, shape (triangle_count,)."""
-    places: Float64
-    """Rest places of the vertices, in the frame of the nodes [cells], shape (vertex_count, 3)."""
-    weld: Int32
-    """Lowest vertex that is one with each, shape (vertex_count,)."""
-    on_triangle: Int32
-    """Triangle of the uncut surface on which each vertex of a lip lies, else -1, shape (vertex_count,)."""
-    on_weights: Float64
-    """Barycentric place there, shape (vertex_count, 3)."""
+    uncut_places: Float64
+    """Rest places of the vertices that were there, in the frame of the nodes [cells], shape (old_count, 3)."""
+    new_places: Float64
+    """The same of those that were made, shape (new_count, 3)."""
+    new_weld: Int32
+    """Lowest vertex that is one with each of these, shape (new_count,)."""
+    new_on_triangle: Int32
+    """Triangle of the uncut surface on which each of these lies if it is of a lip, else -1, shape (new_count,)."""
+    new_on_weights: Float64
+    """Barycentric place there, shape (new_count, 3)."""
+    new_flat: Float64
+    """Place of each wall's vertex on its sheet laid out flat [cells], else 0, shape (new_count, 2)."""
     uncut_triangles: Int64
     """Triangles of the uncut surface, shape (uncut_triangle_count, 3)."""
     facing: Float64
     """Unit normals of the last triangles, those that are not whole ones of the uncut surface, shape (count, 3)."""
     triangle_part: Int32
     """Number of what each triangle hangs together with, shape (triangle_count,); all that is not cut free has one."""
-    flat: Float64
-    """Place of each wall's vertex on its sheet laid out flat [cells], else 0, shape (vertex_count, 2)."""
+    crossed: Int64 | None
+    """Triangles of the uncut surface that are not there any more, ascending; None where there are more than those that
+    sheets cross."""
+
+    @property
+    def old_count(self) -> int:
+        """Number of vertices that were there."""
+        return len(self.uncut_places)
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices."""
+        return len(self.uncut_places) + len(self.new_places)
+
+    @property
+    def places(self) -> Float64:
+        """Rest places of all vertices, in the frame of the nodes [cells], shape (vertex_count, 3)."""
+        return np.concatenate([self.uncut_places, self.new_places])
+
+    @property
+    def weld(self) -> Int32:
+        """Lowest vertex that is one with each, shape (vertex_count,)."""
+        return np.concatenate([np.arange(self.old_count, dtype=np.int32), self.new_weld])
+
+    @property
+    def on_triangle(self) -> Int32:
+        """Triangle of the uncut surface on which each vertex of a lip lies, else -1, shape (vertex_count,)."""
+        return np.concatenate([np.full(self.old_count, -1, np.int32), self.new_on_triangle])
+
+    @property
+    def on_weights(self) -> Float64:
+        """Barycentric place there, shape (vertex_count, 3)."""
+        return np.concatenate([np.zeros((self.old_count, 3)), self.new_on_weights])
+
+    @property
+    def flat(self) -> Float64:
+        """Place of each wall's vertex on its sheet laid out flat [cells], else 0, shape (vertex_count, 2)."""
+        return np.concatenate([np.zeros((self.old_count, 2)), self.new_flat])
 
     @property
     def triangle_is_wall(self) -> Bool:
         """Whether a triangle is a cut face, shape (triangle_count,)."""
         return self.triangle_origin < 0
 
+    def places_of(self, vertices: Int64) -> Float64:
+        """Rest places of some vertices, shape (count, 3)."""
+        is_new = vertices >= self.old_count
+        found = self.uncut_places[np.where(is_new, 0, vertices)]
+        found[is_new] = self.new_places[vertices[is_new] - self.old_count]
+        return found
 
-def split_mesh(surface: UncutSurface, mesh: SheetMesh) -> SplitMesh:
+
+def split_mesh(surface: UncutSurface, crossing: Crossings) -> SplitMesh:
     """Split a surface along all sheets at once."""
-    parts = arrange(surface, mesh)
+    mesh = crossing.mesh
+    parts = arrange(surface, crossing)
     face_is_wall = _faces_inside(surface, mesh, parts)
     classes, partner = _glued(mesh, parts, face_is_wall)
     return _written(surface, mesh, parts, face_is_wall, classes, partner)
@@ -104,7 +153,8 @@ def _half_outlines(parts: Arrangement) -> tuple[Int64, Int64, Bool]:
     first = np.flatnonzero(np.diff(side, prepend=-1) != 0)
     counts = np.diff(np.append(first, len(rows)))
     rank = np.arange(len(rows)) - np.repeat(first, counts)
-    is_backwards = ~parts.facet_forward.ravel()[side]
+    ahead = parts.corners[:, [1, 2, 0]].ravel()[side]
+    is_backwards = parts.corners.ravel()[side] > ahead
     rank = np.where(is_backwards, np.repeat(counts, counts) - 1 - rank, rank)
     edge = parts.facet_edges.ravel()[side]
     most = int(counts.max(initial=1))
@@ -139,7 +189,7 @@ def _faces_inside(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement) ->
     for one in np.unique(parents[is_of_sheet & ~has_vote[parents]]):
         triangle = face_facet[one] - surface_facets
         point = mesh.vertices[mesh.triangles[triangle, 0]]
-        is_in[parents == one] = is_inside(surface.vertices, surface.triangles, point)
+        is_in[parents == one] = is_inside(surface.vertices, surface.triangles, surface.buckets, point)
     inside: Bool = is_in & is_of_sheet
     return inside
 
@@ -242,33 +292,40 @@ def _written(
     place = vertex_count + np.argsort(order)
     triangles = vertices.copy()
     triangles[is_new] = place[number]
-    weld = np.arange(vertex_count + len(used))
-    weld[place[is_twin]] = place[main[is_twin]]
 
     rows = np.flatnonzero(is_new.ravel())[first[order]]
     point, sample = points.number[corners.triangles.ravel()[rows]], rows // 3
     flat = np.zeros((len(used), 2))
     on_wall = is_wall[sample]
     flat[on_wall] = _laid_out(mesh, points.places[point[on_wall]], facets[sample[on_wall]] - surface_facets)
-    untouched = np.delete(np.arange(len(surface.triangles)), parts.crossed)
-    plain = np.full(len(untouched), -1)
-    origin, sheet = np.full(len(facets), -1), np.full(len(facets), -1)
+    origin, sheet = np.full(len(facets), -1, np.int32), np.full(len(facets), -1, np.int32)
     origin[~is_wall] = parts.crossed[facets[~is_wall]]
     sheet[is_wall] = mesh.sheet[facets[is_wall] - surface_facets]
+    weld = np.arange(vertex_count, vertex_count + len(used))
+    weld[place[is_twin] - vertex_count] = place[main[is_twin]]
+    count = len(surface.triangles) - len(parts.crossed) + len(triangles)
+    all_triangles, all_origin = np.empty((count, 3), np.int32), np.empty(count, np.int32)
+    all_sheet, part = np.empty(count, np.int32), np.empty(count, np.int32)
+    join_triangles(surface.triangles, parts.crossed, triangles, origin, sheet, all_triangles, all_origin, all_sheet)
+    part_count = number_split_parts(
+        surface.triangles, surface.patches, parts.crossed, triangles, weld, vertex_count, part
+    )
     split = SplitMesh(
-        triangles=np.concatenate([surface.triangles[untouched], triangles]).astype(np.int32),
-        triangle_origin=np.concatenate([untouched, origin]).astype(np.int32),
-        triangle_sheet=np.concatenate([plain, sheet]).astype(np.int32),
-        places=np.concatenate([surface.places, points.places[point]]),
-        weld=weld.astype(np.int32),
-        on_triangle=np.concatenate([np.full(vertex_count, -1), points.on_triangle[point]]).astype(np.int32),
-        on_weights=np.concatenate([np.zeros((vertex_count, 3)), points.on_weights[point]]),
-        flat=np.concatenate([np.zeros((vertex_count, 2)), flat]),
+        triangles=all_triangles,
+        triangle_origin=all_origin,
+        triangle_sheet=all_sheet,
+        uncut_places=surface.places,
+        new_places=points.places[point],
+        new_weld=weld.astype(np.int32),
+        new_on_triangle=points.on_triangle[point].astype(np.int32),
+        new_on_weights=points.on_weights[point],
+        new_flat=flat,
         uncut_triangles=surface.triangles,
         facing=_facing(surface, mesh, parts, facets, wall_side),
-        triangle_part=np.zeros(0, np.int32),
+        triangle_part=part,
+        crossed=parts.crossed,
     )
-    return _without_dust(split, np.concatenate([plain, np.where(is_wall, wall_side, -1)]))
+    return split if part_count <= 1 else _without_dust(split, np.where(is_wall, wall_side, -1), part_count)
 
 
 def _facing(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, facets: Int64, wall_side: Int64) -> Float64:
@@ -283,24 +340,22 @@ def _facing(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, facets: 
     return facing
 
 
-def _without_dust(split: SplitMesh, wall_side: Int64) -> SplitMesh:
-    """Number what hangs together, and leave out what holds no tissue: what two sheets in one place have between them.
+def _without_dust(split: SplitMesh, wall_side: Int64, part_count: int) -> SplitMesh:
+    """Leave out parts that hold no tissue: what two sheets in one place have between them.
 
     A cut inside the tissue has no volume either, but both sides of its walls.
     """
-    triangle_part = number_parts(split.weld[split.triangles], len(split.weld))
-    part_count = int(triangle_part.max(initial=-1)) + 1
-    if part_count == 1:
-        return replace(split, triangle_part=triangle_part)
+    triangle_part = split.triangle_part
     volumes, areas = np.zeros(part_count), np.zeros(part_count)
     measure_parts(split.places, split.triangles, triangle_part, volumes, areas)
     is_dust = np.abs(volumes) <= _NO_THICKNESS * areas
     walls = np.flatnonzero(wall_side >= 0)
-    sides = np.unique(np.stack([triangle_part[walls], wall_side[walls]], axis=1), axis=0)
+    part_of_wall = triangle_part[len(triangle_part) - len(wall_side) :][walls]
+    sides = np.unique(np.stack([part_of_wall, wall_side[walls]], axis=1), axis=0)
     has_both = (np.diff(sides[:, 0]) == 0) & (np.diff(sides[:, 1] // 2) == 0)
     is_dust[sides[1:, 0][has_both]] = False
     if not is_dust.any():
-        return replace(split, triangle_part=triangle_part)
+        return split
     kept = ~is_dust[triangle_part]
     part = (np.cumsum(~is_dust) - 1)[triangle_part[kept]].astype(np.int32)
     return replace(
@@ -310,6 +365,7 @@ def _without_dust(split: SplitMesh, wall_side: Int64) -> SplitMesh:
         triangle_sheet=split.triangle_sheet[kept],
         facing=split.facing[kept[len(kept) - len(split.facing) :]],
         triangle_part=part,
+        crossed=None,
     )
 
 
@@ -327,12 +383,17 @@ def _points(surface: UncutSurface, parts: Arrangement, nodes: Int64, corners: Co
     """Nodes, and the middles of double edges of some facets."""
     first_node = surface.vertex_count
     first_middle = len(nodes)
-    all_places = np.concatenate([surface.places, parts.places])
     places = np.zeros((len(corners.middles), 3))
-    for n, (one, other) in enumerate(corners.middles.tolist()):
+
+    def place_of(at: int) -> Float64:
         # A middle may be one of an edge to an earlier middle.
-        ends = (all_places[nodes[at]] if at < first_middle else places[at - first_middle] for at in (one, other))
-        places[n] = sum(ends) / 2
+        node = nodes[at] if at < first_middle else 0
+        of_nodes = surface.places[node] if node < first_node else parts.places[node - first_node]
+        found: Float64 = of_nodes if at < first_middle else places[at - first_middle]
+        return found
+
+    for n, (one, other) in enumerate(corners.middles.tolist()):
+        places[n] = (place_of(one) + place_of(other)) / 2
     on_surface = facet < len(parts.crossed)
     on_triangle = np.full(len(places), -1)
     on_triangle[on_surface] = parts.crossed[facet[on_surface]]

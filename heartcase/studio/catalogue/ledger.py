@@ -10,7 +10,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ class Page:
     """Path of each file that was written, or was about to be -> SHA-256 of its content."""
     times: dict[str, list[int]] = field(default_factory=dict)
     """Path -> size in bytes and time of last change in ns, as it was written."""
+    warnings: tuple[tuple[str, str], ...] = ()
+    """Place and message of what its page goes without, such as a tour that is wrong."""
 
 
 Ledger = dict[str, Page]
@@ -57,7 +59,8 @@ def read_ledgers(site: Path) -> Ledger:
             data = json.loads(path.read_text(encoding="utf-8"))
             if data.pop("ledger_version") != _VERSION:
                 continue
-            data["problems"] = tuple((str(place), str(message)) for place, message in data["problems"])
+            for kind in ("problems", "warnings"):
+                data[kind] = tuple((str(place), str(message)) for place, message in data.get(kind, ()))
             page = Page(**data)
             if all(_is_below(one) for one in page.files) and _is_card(page.card, path.stem):
                 found[path.stem] = page
@@ -85,7 +88,7 @@ def write_page(site: Path, name: str, content: Content, before: Page | None, aft
     before
         Its ledger until now.
     after
-        Stamp, card and problems for the ledger.
+        Stamp, card, problems and warnings for the ledger.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def write_page(site: Path, name: str, content: Content, before: Page | None, aft
             )
     if all(_is_there(site / path, hashes[path]) for path in content) and before is not None:
         times = {path: _size_and_time(site / path) or [] for path in content}
-        page = Page(after.stamp, after.card, after.problems, hashes, times)
+        page = replace(after, files=hashes, times=times)
     else:
         _write_ledger(site, name, Page(files={**old, **hashes}))
         for path, data in content.items():
@@ -115,7 +118,7 @@ def write_page(site: Path, name: str, content: Content, before: Page | None, aft
                 (site / path).parent.mkdir(parents=True, exist_ok=True)
                 atomic_write(site / path, data)
         times = {path: _size_and_time(site / path) or [] for path in content}
-        page = Page(after.stamp, after.card, after.problems, hashes, times)
+        page = replace(after, files=hashes, times=times)
     for path, sha256 in old.items():
         if path not in content:
             _remove(site, path, sha256)

@@ -7,7 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,8 @@ class CatalogueResult:
     """Cases whose page was removed: gone, or refused now."""
     refused: dict[str, tuple[Problem, ...]] = field(default_factory=dict)
     """Name of a case -> why it is not shown."""
+    warnings: dict[str, tuple[Problem, ...]] = field(default_factory=dict)
+    """Name of a case that is shown -> what its page goes without, such as a tour that is wrong."""
     seconds: float = 0.0
     """How long it took, s."""
 
@@ -110,7 +112,7 @@ def write_catalogue(
     (site / LEDGER).mkdir(parents=True, exist_ok=True)
     with exclusive(site):
         result = _Run(cases, site, tuple(languages), say).write(folders)
-    return CatalogueResult(site, *result, seconds=time.perf_counter() - start)
+    return replace(result, seconds=time.perf_counter() - start)
 
 
 @dataclass
@@ -124,9 +126,7 @@ class _Run:
         folders = [self.cases] if (samples := sample_folder()) is None else [self.cases, samples]
         self._tours = tours_sha256(folders)
 
-    def write(
-        self, folders: dict[str, Path]
-    ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, tuple[Problem, ...]]]:
+    def write(self, folders: dict[str, Path]) -> CatalogueResult:
         """Judge, remove, make, list: a page that must go is gone before anything takes time."""
         ledgers = read_ledgers(self.site)
         before = {name: page for name, page in ledgers.items() if name != SITE}
@@ -167,11 +167,11 @@ class _Run:
         self._write_site(pages, ledgers)
         for part in ("", "assets", "cases", "data", "pictures", "view", LEDGER):
             remove_leftovers(self.site / part)
-        refused = {
-            name: tuple(Problem(*one) for one in page.problems) for name, page in sorted(pages.items()) if page.problems
-        }
-        shown = tuple(sorted(name for name, page in pages.items() if page.card is not None))
-        return shown, tuple(made), removed, refused
+        in_order = sorted(pages.items())
+        refused = {name: tuple(Problem(*one) for one in page.problems) for name, page in in_order if page.problems}
+        warnings = {name: tuple(Problem(*one) for one in page.warnings) for name, page in in_order if page.warnings}
+        shown = tuple(name for name, page in in_order if page.card is not None)
+        return CatalogueResult(self.site, shown, tuple(made), removed, refused, warnings)
 
     def _stamp(self, name: str, folder: Path) -> str:
         """What the page would be made from: the manifest, which holds the hash of every other file, and the code."""
@@ -201,9 +201,11 @@ class _Run:
         name, bundle = entry.name, entry.bundle
         content: dict[str, bytes] = {}
         cut_source = ""
+        wrong: tuple[Problem, ...] = ()
         if bundle.levels:
             if entry.is_tied:
-                content |= self._viewer_of(entry)
+                viewer, wrong = self._viewer_of(entry)
+                content |= viewer
             surface = surface_of(bundle, min(bundle.levels))
             pictures, cut_source = case_pictures(surface, entry.manifest.labels, entry.landmarks)
             content |= {f"pictures/{name}.{which}.webp": data for which, data in pictures.items()}
@@ -214,10 +216,11 @@ class _Run:
             cut_source=cut_source,
             languages=self.languages,
         ).encode()
-        return write_page(self.site, name, content, before, Page(stamp, entry.card()))
+        warnings = tuple((one.place, one.message) for one in wrong)
+        return write_page(self.site, name, content, before, Page(stamp, entry.card(), warnings=warnings))
 
-    def _viewer_of(self, entry: Entry) -> dict[str, bytes]:
-        """The page that shows a case in 3-D, and the case for it."""
+    def _viewer_of(self, entry: Entry) -> tuple[dict[str, bytes], tuple[Problem, ...]]:
+        """The page that shows a case in 3-D, and the case for it; what is wrong with its tours."""
         level = middle_level(entry.bundle)
         path = entry.bundle.directory
         case = load_case(path, needs=("surface", "structures", "tissue", "cell_labels"), level=level)
@@ -229,10 +232,11 @@ class _Run:
             back=f"../cases/{address(entry.name)}.html",
             back_word="offline_back",
         )
-        tours, _ = tours_of(case, path, does_acts=False)
+        tours, problems = tours_of(case, path, does_acts=False)
         normal_map = load_normal_map(path, case.surface, level)
         data = case_script(case, shown_of(entry.bundle, level), tours=tours, normal_map=normal_map)
-        return {f"view/{entry.name}.html": page, f"view/{entry.name}.js": data}
+        wrong = (*problems, *(problem for one in tours for problem in one.problems))
+        return {f"view/{entry.name}.html": page, f"view/{entry.name}.js": data}, wrong
 
     def _write_site(self, pages: Ledger, ledgers: Ledger) -> None:
         """The index and what all pages share; what did not change is not written."""

@@ -34,6 +34,7 @@ __all__ = [
     "Request",
     "Resize",
     "Run",
+    "SavePage",
     "Seen",
     "Slice",
     "Strain",
@@ -319,6 +320,15 @@ class Compare(_Asked):
     """Names that were given for them."""
 
 
+class SavePage(_Asked):
+    """Save the case as one HTML file that needs no server, with some of its recordings."""
+
+    do: Literal["save_page"]
+    """Which request."""
+    names: Annotated[tuple[_RecordingName, ...], Field(max_length=6)] = ()
+    """Names that were given for them."""
+
+
 class Rename(_Asked):
     """Give a recording another name."""
 
@@ -374,6 +384,7 @@ Request = (
     | Planned
     | HoldOpen
     | Compare
+    | SavePage
     | Rename
     | Device
     | Seen

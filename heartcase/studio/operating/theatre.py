@@ -25,6 +25,7 @@ from heartcase.studio.operating.requests import (
     Device,
     Figures,
     Replay,
+    SavePage,
     Seen,
     Slice,
     Strain,
@@ -32,6 +33,7 @@ from heartcase.studio.operating.requests import (
     TourTo,
     parse_request,
 )
+from heartcase.studio.operating.saved_page import PageOf, SavedPage
 from heartcase.studio.operating.scene.scan_slices import has_scan
 from heartcase.studio.operating.slices import SliceServing
 from heartcase.studio.operating.stage import Stage, open_stage
@@ -43,7 +45,7 @@ from heartcase.studio.touring.found_tours import tour_folders
 __all__ = ["Origin", "Theatre"]
 
 T = TypeVar("T")
-_InTurn = OwnAct | Tours | TourTo | Replay | Begin | Strain | Coarser | Figures | Compare | Device
+_InTurn = OwnAct | Tours | TourTo | Replay | Begin | Strain | Coarser | Figures | Compare | SavePage | Device
 """Requests that are carried out one after the other."""
 
 _SOFTLY_S = 20.0
@@ -79,11 +81,13 @@ class Theatre:
         The case's folder.
     out
         Folder that recordings are put into.
+    page_of
+        Makes the file that it is saved as, for browsers without a server.
     origin
         The recipe that it was built from, where it was opened from one: tours may stand beside it.
     """
 
-    def __init__(self, case: Path, *, out: Path, origin: Origin | None = None) -> None:
+    def __init__(self, case: Path, *, out: Path, page_of: PageOf, origin: Origin | None = None) -> None:
         self._case = case
         self._out = out
         self.origin = origin
@@ -102,7 +106,8 @@ class Theatre:
         self._rests = False
         self._idle = Idle(self._free)
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._plans = ComparedPlans(case, out, self._hear_of_plans)
+        self._plans = ComparedPlans(case, out, lambda: self._hear(self._plans.message))
+        self.saved = SavedPage(case, out, page_of, lambda: self._hear(self._saved_message))
         self._freed: str | None = None
         self._device_page: Page | None = None
 
@@ -181,6 +186,8 @@ class Theatre:
             page.send(picture)
         if self._plans.is_comparing:
             page.send(self._plans.message())
+        if self.saved.facts:
+            page.send(self._saved_message())
         self._viewers[page] = Viewer(stage)
 
     async def leave(self, page: Page) -> None:
@@ -194,9 +201,7 @@ class Theatre:
         async with self._turn:
             if self._stage is None:
                 return
-            await self._update_strain()
-            await self._update_coarser()
-            await self._update_figures()
+            await self._update_seen()
             if self._device_page is page:
                 self._device_page = None
                 await self._run(self._stage.detach)
@@ -251,6 +256,7 @@ class Theatre:
             if stage is not None:
                 await self._ended(stage)
         await self._run(self._plans.close)
+        await self._run(self.saved.close)
         self._thread.shutdown()
         self._slices.close()
 
@@ -283,15 +289,15 @@ class Theatre:
                 self._show_begun(live)
             case Strain():
                 viewer.wants_strain = request.shown
-                await self._update_strain()
+                await self._update_seen()
                 self._news.set()
             case Coarser():
                 viewer.wants_coarser = True
-                await self._update_coarser()
+                await self._update_seen()
                 self._news.set()
             case Figures():
                 viewer.wants_figures = request.shown
-                await self._update_figures()
+                await self._update_seen()
                 stage.figures.incision = request.incision
                 if request.shown and request.reach:
                     live.pause(True)
@@ -302,6 +308,9 @@ class Theatre:
                 # it takes seconds for each of them: the processors are for that
                 live.pause(True)
                 await self._run(lambda: self._plans.compare(names))
+            case SavePage():
+                names = await self._run(lambda: [stage.known(name) for name in request.names])
+                await self._run(lambda: self.saved.save(names))
             case Device():
                 if request.name is None:
                     await self._run(stage.detach)
@@ -328,20 +337,13 @@ class Theatre:
             one.begin_anew()
         self._news.set()
 
-    async def _update_figures(self) -> None:
-        stage, is_wanted = self._stage, any(one.wants_figures for one in self._viewers.values())
+    async def _update_seen(self) -> None:
+        """Work out what any page wants to see beside the heart, and leave what none does."""
+        stage, viewers = self._stage, tuple(self._viewers.values())
         if stage is not None:
-            await self._run(lambda: stage.figures.show(is_wanted))
-
-    async def _update_strain(self) -> None:
-        stage, is_wanted = self._stage, any(one.wants_strain for one in self._viewers.values())
-        if stage is not None:
-            await self._run(lambda: stage.show_strain(is_wanted))
-
-    async def _update_coarser(self) -> None:
-        stage, is_wanted = self._stage, any(one.wants_coarser for one in self._viewers.values())
-        if stage is not None:
-            await self._run(lambda: stage.show_coarser(is_wanted))
+            await self._run(lambda: stage.show_strain(any(one.wants_strain for one in viewers)))
+            await self._run(lambda: stage.show_coarser(any(one.wants_coarser for one in viewers)))
+            await self._run(lambda: stage.figures.show(any(one.wants_figures for one in viewers)))
 
     async def _show_on(self) -> None:
         """Show each page what is new, again and again."""
@@ -484,11 +486,14 @@ class Theatre:
         for page in self._viewers:
             page.send(message)
 
-    def _hear_of_plans(self) -> None:
-        """Called by any thread: what is compared is told to all pages."""
+    def _hear(self, message: Callable[[], str]) -> None:
+        """Called by any thread: what was worked out beside is told to all pages."""
         loop = self._loop
         if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(lambda: self._tell(self._plans.message()))
+            loop.call_soon_threadsafe(lambda: self._tell(message()))
+
+    def _saved_message(self) -> str:
+        return text_message("saved_page", **self.saved.facts)
 
     def _problems(self, error: BaseException) -> list[dict[str, str]]:
         """What a page is told of an error; not where on this machine the case lies."""

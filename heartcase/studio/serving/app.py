@@ -17,6 +17,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from heartcase.studio.building.building import Building
 from heartcase.studio.messages import problems_of, told
+from heartcase.studio.operating.theatre import Theatre
 from heartcase.studio.pages import Page, Place
 from heartcase.studio.painting.workplace import Workplace
 from heartcase.studio.serving.gate import Gate
@@ -69,6 +70,14 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
         found = place.report if isinstance(place, Building) else None
         return RedirectResponse("/#closed", status_code=303) if found is None else FileResponse(found)
 
+    async def saved_page(request: Request) -> Response:
+        place = registry.place("operating", request.path_params["key"])
+        found = place.saved.file if isinstance(place, Theatre) else None
+        if found is None or not found.is_file():
+            return RedirectResponse("/#closed", status_code=303)
+        # as a file: what the studio's own pages may do is not for it
+        return FileResponse(found, filename=found.name)
+
     def line(name: str) -> WebSocketRoute:
         async def talk(websocket: WebSocket) -> None:
             place = registry.place(name, websocket.path_params["key"])
@@ -110,6 +119,7 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
         *(page(name, file) for name, file in _PAGES.items()),
         *(line(name) for name in _LINES),
         Route("/report/{key}", report),
+        Route("/saved/{key}", saved_page),
         Mount("/static", StaticFiles(directory=PAGE)),
     ]
     return Gate(Starlette(routes=routes, lifespan=lifespan), token=token, port=port)

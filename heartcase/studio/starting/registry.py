@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from heartcase.studio.building.building import Building
+from heartcase.studio.offline.exported import fitting_page_of
 from heartcase.studio.operating.theatre import Origin, Theatre
 from heartcase.studio.pages import Place
 from heartcase.studio.painting.workplace import Workplace
@@ -86,7 +87,7 @@ class Registry:
         if key not in self._opened:
             folder = path.parent if out is None else out
             # a second session on it, for two recordings side by side: it is begun when a page asks for it
-            places = {"operating": Theatre(path, out=folder), "beside": Theatre(path, out=folder)}
+            places = {name: Theatre(path, out=folder, page_of=fitting_page_of) for name in ("operating", "beside")}
             self._opened[key] = Opened("operate", key, path, places)
         place = self._opened[key].places["operating"]
         if origin is not None and isinstance(place, Theatre):

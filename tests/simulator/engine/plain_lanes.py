@@ -2,22 +2,57 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from unittest.mock import patch
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, distinct_keys, lattice_keys
-from heartcase.simulator.engine.shared import lanes, node_copies
-from heartcase.simulator.engine.shared.lanes import LANE_COUNT, ROWS, LaneLayout
-from heartcase.simulator.engine.shared.node_copies import copied_rows, irregular_cells, vote_for_rows
+from heartcase.simulator.engine.shared import lanes
+from heartcase.simulator.engine.shared.lanes import LANE_COUNT, ROWS
 from heartcase.simulator.lattice.model import DIRECTIONS
+from tests.simulator.engine.plain_node_copies import copied_rows, irregular_cells, vote_for_rows
+
+
+@dataclass(frozen=True)
+class PlainLayout:
+    """What a LaneLayout says."""
+
+    lane_count: int
+    stride: int
+    node_lane: np.ndarray
+    node_slot: np.ndarray
+    window_rows: np.ndarray
+    is_near_copies: np.ndarray
+    irregular_cells: np.ndarray
+    ghost_start: np.ndarray
+
+    @cached_property
+    def node_at(self):
+        nodes = np.full(self.lane_count, -1, np.int32)
+        nodes[self.node_lane] = np.arange(len(self.node_lane))
+        return nodes
+
+    def neighbour_lanes(self, nodes, offset):
+        i, j, k = offset.tolist()
+        slot = self.node_slot[nodes]
+        return self.window_rows[slot // LANE_COUNT, (j + 1) + 3 * (k + 1)] + slot % LANE_COUNT + i
+
+
+@dataclass(frozen=True)
+class PlainCells:
+    """What a CellLayout says of the cells."""
+
+    cell_lane: np.ndarray
+    cell_slot: np.ndarray
+    window_rows: np.ndarray
+    touches: np.ndarray
+    ghost_lane: np.ndarray
 
 
 def plain_lane_layout(model, *, in_banks=False):
     """The layout of a lattice."""
-    with patch.object(node_copies, "_grouped", _grouped), patch.object(node_copies, "are_among", np.isin):
-        rows = copied_rows(model)
+    rows = copied_rows(model)
     layer = np.zeros(model.node_count, np.int64) if rows is None else rows.layer
     i, j, k = model.node_index.astype(np.int64).T
     block = i // LANE_COUNT
@@ -41,7 +76,7 @@ def plain_lane_layout(model, *, in_banks=False):
 
     node_lane = start[np.searchsorted(stored, keys)] + i % LANE_COUNT
     by_lane = np.argsort(node_lane) if rows is not None else np.arange(model.node_count)
-    first, window_by_lane = lanes._windows(node_lane[by_lane])
+    first, window_by_lane = _windows(node_lane[by_lane])
     first = by_lane[first]
     window = np.empty_like(window_by_lane)
     window[by_lane] = window_by_lane
@@ -58,7 +93,7 @@ def plain_lane_layout(model, *, in_banks=False):
         window_rows[is_there] = (start[nearest] + place - ahead * LANE_COUNT)[is_there]
     window_rows[:, 4] = node_lane[first]
 
-    layout = LaneLayout(
+    layout = PlainLayout(
         lane_count=int(start[-1]) + 2 * LANE_COUNT,
         stride=0,
         node_lane=node_lane,
@@ -76,46 +111,24 @@ def plain_lane_layout(model, *, in_banks=False):
         vote_for_rows(model, node_lane, layout.node_slot, near, window_rows, layout.lane_count)
         layout = replace(layout, is_near_copies=is_near[window])
         irregular = irregular_cells(model, layout)
-        ghost_blocks = np.full(-(-len(irregular) // lanes.GHOST_CELLS), len(lanes._GHOST_ROWS))
-        room = capacity if in_banks else capacity + (len(lanes._GHOST_ROWS) + 1) * len(ghost_blocks)
+        ghost_blocks = np.full(-(-len(irregular) // lanes.GHOST_CELLS), len(lanes.GHOST_ROWS))
+        room = capacity if in_banks else capacity + (len(lanes.GHOST_ROWS) + 1) * len(ghost_blocks)
         ghost_start = lanes._run_starts(np.concatenate([block_counts, ghost_blocks]), room)[len(block_counts) :]
         if len(irregular):
-            last = int(ghost_start[-1]) + LANE_COUNT * (len(lanes._GHOST_ROWS) + 1)
+            last = int(ghost_start[-1]) + LANE_COUNT * (len(lanes.GHOST_ROWS) + 1)
             layout = replace(layout, lane_count=last, irregular_cells=irregular, ghost_start=ghost_start)
     return replace(layout, stride=lanes.BANK_LANES if in_banks else layout.lane_count)
 
 
-def _grouped(model, path, rows):
-    """Number of the run that each path lies in."""
-    path_count = int(path.max()) + 1
-    # A row without copies counts as one path.
-    _, row = np.unique(rows, return_inverse=True)
-    element = np.where(path >= 0, path, path_count + row)
-    corners = model.cell_corners[(path[model.cell_corners] >= 0).any(axis=1)]
-    a, b = node_copies._BESIDE.T
-    pairs = np.stack([element[corners[:, a]].ravel(), element[corners[:, b]].ravel()], axis=1)
-    pairs = np.concatenate([pairs, pairs[:, ::-1]])
-    pairs = pairs[pairs[:, 1] < path_count]
-    keys, weight = np.unique(pairs[:, 0] * path_count + pairs[:, 1], return_counts=True)
-    middle, side = keys // path_count, keys % path_count
-    # Sides of one middle that lie in one row follow each other.
-    row_of_path = np.zeros(path_count, np.int64)
-    row_of_path[path[path >= 0]] = row[path >= 0]
-    order = np.lexsort((side, row_of_path[side], middle))
-    middle, side, weight = middle[order], side[order], weight[order]
-    couples = np.empty((node_copies.couple(middle, side, weight, row_of_path, np.empty((0, 3), np.int64)), 3), np.int64)
-    node_copies.couple(middle, side, weight, row_of_path, couples)
-    i = model.node_index[:, 0].astype(np.int64)
-    low, high = np.full(path_count, np.iinfo(np.int64).max), np.full(path_count, np.iinfo(np.int64).min)
-    np.minimum.at(low, path[path >= 0], i[path >= 0])
-    np.maximum.at(high, path[path >= 0], i[path >= 0])
-    one, other, common = couples.T
-    gap = np.maximum(low[one], low[other]) - np.minimum(high[one], high[other])
-    couples = couples[np.lexsort((other, one, -common, gap))]
-    couples = couples[np.sort(gap) <= 8]
-    group = np.arange(path_count)
-    node_copies.group_paths(couples, low, high, group)
-    return group
+def _windows(node_lane):
+    """First node of each window, and window of each node: a window begins at the first node that none holds yet."""
+    first, window, end = [], np.empty(len(node_lane), np.int64), -1
+    for node, lane in enumerate(node_lane.tolist()):
+        if lane >= end:
+            first.append(node)
+            end = lane + LANE_COUNT
+        window[node] = len(first) - 1
+    return np.array(first), window
 
 
 def plain_cell_layout(model, layout):
@@ -133,24 +146,17 @@ def plain_cell_layout(model, layout):
     offset = CORNER_OFFSETS.astype(np.int64)
     ghost_lane = cell_lane[irregular, None] + offset[:, 0] + LANE_COUNT * (offset[:, 1] + 2 * offset[:, 2])
     ghost_rows = np.full((len(layout.ghost_start), len(ROWS)), lanes.EMPTY_START)
-    ghost_rows[:, lanes._GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(lanes._GHOST_ROWS))
+    ghost_rows[:, lanes.GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(lanes.GHOST_ROWS))
 
-    pairs = distinct_keys((window_of_cell[:, None] * layout.window_count + windows).ravel())
-    here, there = pairs // layout.window_count, pairs % layout.window_count
+    pairs = distinct_keys((window_of_cell[:, None] * len(layout.window_rows) + windows).ravel())
+    here, there = pairs // len(layout.window_rows), pairs % len(layout.window_rows)
     place = np.arange(len(pairs)) - np.searchsorted(here, here)
     touches = np.full((len(held) + len(ghost_rows), max(8, int(place.max()) + 1)), -1, np.int64)
     touches[here, place] = there
     rows = np.concatenate([layout.window_rows[held], ghost_rows])
     # The middle one of a window's rows is its own.
     cell_slot = LANE_COUNT * window_of_cell + cell_lane - rows[window_of_cell, 4]
-    return lanes.CellLayout(
-        layout=layout,
-        cell_lane=cell_lane,
-        cell_slot=cell_slot,
-        window_rows=rows,
-        touches=touches,
-        ghost_lane=ghost_lane,
-    )
+    return PlainCells(cell_lane, cell_slot, rows, touches, ghost_lane)
 
 
 def plain_irregular_springs(model, lookup):
@@ -176,17 +182,128 @@ def plain_irregular_springs(model, lookup):
     return irregular
 
 
-def plain_spring_weight(model, layout):
-    """Stiffness of the springs from each lane."""
-    weight = np.zeros(layout.length(len(DIRECTIONS)), np.float32)
+def plain_spring_weight(model, layout, values):
+    """Values of the springs from each lane."""
+    weight = np.zeros(layout.lane_count + (len(DIRECTIONS) - 1) * layout.stride, np.float32)
     regular = ~plain_irregular_springs(model, layout)
     lower = layout.node_lane[model.spring_nodes[regular, 0]]
-    weight[layout.stride * model.spring_direction[regular].astype(np.int64) + lower] = model.spring_weight[regular]
+    weight[layout.stride * model.spring_direction[regular].astype(np.int64) + lower] = values[regular]
     return weight
 
 
+def plain_window_numbers(model, layout):
+    """Acting stiffness of the springs and inverse mass of each window's lanes, and zeros."""
+    weight = plain_spring_weight(model, layout, model.acting_weight)
+    window_lanes = layout.window_rows[:, 4, None] + np.arange(LANE_COUNT)
+    numbers = np.zeros((len(window_lanes) + 1, len(DIRECTIONS) + 1, LANE_COUNT), np.float32)
+    for direction in range(len(DIRECTIONS)):
+        numbers[:-1, direction] = weight[direction * layout.stride + window_lanes]
+    inverse_mass = np.zeros(layout.lane_count, np.float32)
+    inverse_mass[layout.node_lane] = model.inverse_mass
+    numbers[:-1, -1] = inverse_mass[window_lanes]
+    return numbers
+
+
+def plain_by_window(cells, values):
+    """Numbers of each cell, shape (any, cell_count), of each window's lanes by themselves."""
+    numbers = np.zeros((len(cells.window_rows), len(values), LANE_COUNT), np.float32)
+    numbers[cells.cell_slot // LANE_COUNT, :, cells.cell_slot % LANE_COUNT] = values.T
+    return numbers
+
+
+def plain_by_node_window(cells, layout, values):
+    """Eight numbers of each cell, one for each corner, by the windows of the corners' nodes, but of irregular ones."""
+    cell_at = np.full(layout.lane_count, -1)
+    cell_at[cells.cell_lane] = np.arange(len(cells.cell_lane))
+    cell_at[cells.ghost_lane.ravel()] = -1
+    rows = layout.window_rows
+    numbers = np.zeros((len(rows), len(CORNER_OFFSETS), LANE_COUNT), np.float32)
+    for corner, (i, j, k) in enumerate(CORNER_OFFSETS.tolist()):
+        cell = cell_at[rows[:, 4 - j - 3 * k, None] - i + np.arange(LANE_COUNT)]
+        numbers[:, corner] = np.where(cell >= 0, values[corner, cell], np.float32(0.0))
+    return numbers
+
+
+def plain_ghost_arrays(model, cells, layout):
+    """The ghosts of a layout, as GhostArrays has them from ``lane`` on."""
+    nodes = model.cell_corners[layout.irregular_cells].astype(np.int64).ravel()
+    ghosted = np.unique(nodes)
+    ghosted = ghosted[np.argsort(layout.node_lane[ghosted])]
+    place = np.full(model.node_count, -1)
+    place[ghosted] = np.arange(len(ghosted))
+    by_node = np.argsort(place[nodes], kind="stable")
+    window_count = len(layout.window_rows)
+    node_first = np.searchsorted(layout.node_slot[ghosted] // LANE_COUNT, np.arange(window_count + 1))
+    has_ghosts = np.diff(node_first) > 0
+    return (
+        cells.ghost_lane.ravel(),
+        layout.node_lane[nodes],
+        node_first,
+        layout.node_lane[ghosted],
+        np.where(has_ghosts, np.cumsum(has_ghosts) - 1, -1),
+        np.searchsorted(place[nodes][by_node], np.arange(len(ghosted) + 1)),
+        by_node,
+        np.repeat(cells.cell_lane[layout.irregular_cells], 8),
+    )
+
+
+def plain_springs_by_node(springs, node_index, more):
+    """Explicit springs and more by node: what SpringsByNode has."""
+    nodes = np.concatenate([springs.nodes, more[0]])
+    stiffness = np.concatenate([springs.stiffness, more[1]])
+    rest_length = np.concatenate([springs.rest_length.astype(np.float64), more[2]])
+    here, there = np.concatenate([nodes, nodes[:, ::-1]]).T
+    order = np.argsort(here, kind="stable")
+    here, there, length = here[order], there[order], np.tile(rest_length, 2)[order]
+    way = (node_index[there] - node_index[here]).astype(np.float64)
+    excess = (way**2).sum(axis=1) - length**2
+    return (
+        np.concatenate([[0], np.cumsum(np.bincount(here, minlength=len(node_index)))]).astype(np.int32),
+        there.astype(np.int32),
+        np.column_stack([way, length]).astype(np.float32),
+        np.where(np.abs(excess) < 1e-12 * length**2, 0.0, excess).astype(np.float32),
+        np.tile(stiffness, 2)[order].astype(np.float32),
+    )
+
+
+def plain_springs_apart(model, layout):
+    """Explicit springs and those that are irregular, by node."""
+    irregular = plain_irregular_springs(model, layout) & (model.acting_weight > 0)
+    more = (model.spring_nodes[irregular], model.acting_weight[irregular], model.spring_length[irregular])
+    return plain_springs_by_node(model.explicit, model.node_index, more)
+
+
+def plain_explicit_arrays(layout, by_node):
+    """Nodes with springs in groups, of springs by node; what ExplicitArrays has."""
+    springs_first, springs_other, offset, excess, stiffness = by_node
+    counts = np.diff(springs_first)
+    nodes = np.flatnonzero(counts)
+    nodes = nodes[np.argsort(layout.node_lane[nodes])]
+    nodes = nodes[np.lexsort((-counts[nodes], np.arange(len(nodes)) // (8 * LANE_COUNT)))]
+    group_count = -(-len(nodes) // LANE_COUNT)
+    group, place = np.divmod(np.arange(len(nodes)), LANE_COUNT)
+    lane = np.full((group_count, LANE_COUNT), lanes.EMPTY_START)
+    lane[group, place] = layout.node_lane[nodes]
+    window = np.repeat(layout.node_slot[nodes[::LANE_COUNT], None] // LANE_COUNT, LANE_COUNT, axis=1)
+    window[group, place] = layout.node_slot[nodes] // LANE_COUNT
+    longest = np.maximum.reduceat(counts[nodes], np.arange(0, len(nodes), LANE_COUNT)) if len(nodes) else counts[:0]
+    first = np.concatenate([[0], np.cumsum(longest)]).astype(np.int64)
+    other = np.repeat(lane, longest, axis=0)
+    numbers = np.zeros((len(other), 6, LANE_COUNT), np.float32)
+    numbers[:, [0, 3]] = 1.0
+    of_node = np.repeat(np.arange(len(nodes)), counts[nodes])
+    number = np.arange(len(of_node)) - np.repeat(np.cumsum(counts[nodes]) - counts[nodes], counts[nodes])
+    spring = springs_first[nodes][of_node] + number
+    row, column = first[group[of_node]] + number, place[of_node]
+    other[row, column] = layout.node_lane[springs_other[spring]]
+    numbers[row, :4, column] = offset[spring]
+    numbers[row, 4, column] = excess[spring]
+    numbers[row, 5, column] = stiffness[spring]
+    return lane, window, first, other, numbers
+
+
 def plain_windows_behind(layout):
-    window_count = layout.window_count
+    window_count = len(layout.window_rows)
     window_of_lane = np.full(layout.lane_count, -1, np.int32)
     window_of_lane[layout.window_rows[:, 4, None] + np.arange(LANE_COUNT)] = np.arange(window_count)[:, None]
     row_of = {(int(j), int(k)): number for number, (j, k) in enumerate(ROWS)}

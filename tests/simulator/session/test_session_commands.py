@@ -14,12 +14,11 @@ from PIL import Image
 
 from heartcase.cli.main import main
 from heartcase.cli.sessions import record, replay
-from heartcase.cli.shared.recorded_film import frame_steps
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import load_case
 from heartcase.simulator.patching.sewn_mesh import sewn_mesh
-from heartcase.simulator.session.replay import load_session
+from heartcase.simulator.session.replay import frame_steps, load_session
 from heartcase.simulator.session.script import load_script, run_script
 from heartcase.simulator.simulation import Simulation
 

@@ -9,7 +9,7 @@ from heartcase.simulator.splitting.split_surface import _ONE_PLACE, _unit
 
 
 def plain_directions(cuttable, split):
-    """Direction into the tissue at each vertex, and normals of the new vertices; unit vectors, grid axes."""
+    """Direction out of the tissue at each new vertex, and its normal; unit vectors, grid axes."""
     old_count, count = len(cuttable.normals), len(split.places)
     rows = np.arange(len(split.triangles) - len(split.facing), len(split.triangles))
     triangles, facing = split.triangles[rows], split.facing
@@ -45,9 +45,7 @@ def plain_directions(cuttable, split):
     outward = _unit(together)
     for spare in (outward, np.array([0.0, 0.0, 1.0])):
         normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, spare)
-    inward = -outward
-    inward[:old_count] = -cuttable.normals
-    return inward, normals[old_count:]
+    return outward[old_count:], normals[old_count:]
 
 
 def plain_towards_own_triangles(split, vertices):

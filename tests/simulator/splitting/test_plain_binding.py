@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heartcase.simulator.arrangement.sheet_mesh import sheet_mesh
+from heartcase.simulator.arrangement.arrange import NOTHING_CROSSES, crossings
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.splitting import surface_binding
 from heartcase.simulator.splitting.split_surface import _directions as directions
@@ -25,14 +25,14 @@ together = st.lists(st.sampled_from([plane(0, 1.3), plane(1, 1.0), plane(2, 0.8,
 @settings(max_examples=40, deadline=None)
 @given(st.one_of(sheets(), together))
 def test_vertices_near_sheets_are_asked_as_all_are(blades):
-    split = split_mesh(BENT.mesh, sheet_mesh(blades))
+    split = split_mesh(BENT.mesh, crossings(BENT.mesh, blades, NOTHING_CROSSES, 0))
     for found, wanted in zip(directions(BENT, split), plain_directions(BENT, split), strict=True):
         np.testing.assert_array_equal(found, wanted, strict=True)
     parted = part(MODEL, blades, TISSUE)
     old = split.places[: len(BENT.normals)]
-    near = surface_binding._near_sheets(MODEL, parted, old)
+    near = surface_binding._near_sheets(MODEL, parted, BENT.tied)
     np.testing.assert_array_equal(near, plain_near_sheets(MODEL, parted, old), strict=True)
-    towards = surface_binding._towards_own_triangles(split, near)
+    towards = surface_binding._towards_own_triangles(split, BENT.tied, near)
     np.testing.assert_array_equal(towards, plain_towards_own_triangles(split, near), strict=True)
 
 
@@ -40,5 +40,5 @@ def test_only_vertices_near_a_small_sheet_are_asked():
     """In a box that is larger than what a sheet comes to."""
     blades = [plane(2, 0.8, low=-0.2, high=0.3)]
     parted = part(MODEL, blades, TISSUE)
-    near = surface_binding._near_sheets(MODEL, parted, BENT.mesh.places)
+    near = surface_binding._near_sheets(MODEL, parted, BENT.tied)
     assert 0 < len(near) < len(BENT.mesh.places)

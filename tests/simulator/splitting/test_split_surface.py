@@ -149,6 +149,53 @@ def test_undoing_a_cut_gives_the_same_bytes(blades, more):
             assert values.tobytes() == getattr(again.surface, name).tobytes(), name
 
 
+@st.composite
+def strokes(draw):
+    """Sheets sample by sample: of strokes that go on, cross, come back, end inside, or run along faces of cells."""
+    found = []
+    for _ in range(draw(st.integers(1, 2))):
+        if draw(st.booleans()):
+            found += draw(sheets())
+            continue
+        number = st.sampled_from([0.0, 0.5, 1.0, 1.5, 2.0, 2.5]) if draw(st.booleans()) else st.floats(-0.5, 3.5)
+        ways = draw(st.lists(st.tuples(number, number, number), min_size=3, max_size=5))
+        edge = np.array(draw(st.tuples(number, number, number))) - 1.2
+        poses = np.array(ways)[:, None] + np.stack([-edge, edge])
+        poses = np.concatenate([poses, poses[:1]]) if draw(st.booleans()) else poses
+        found += [Sheet.swept(poses[n : n + 2]) for n in range(len(poses) - 1)]
+    return found
+
+
+def assert_same(found, wanted):
+    """Every array the same to the byte."""
+    for name, values in vars(wanted).items():
+        if isinstance(values, np.ndarray):
+            assert values.dtype == getattr(found, name).dtype, name
+            assert values.tobytes() == getattr(found, name).tobytes(), name
+
+
+@settings(max_examples=30, deadline=None)
+@given(strokes(), st.booleans())
+def test_a_cut_that_goes_on_from_the_one_before_gives_the_same_bytes(blades, is_bent):
+    """Sample by sample, and from any earlier one."""
+    cuttable = BENT if is_bent else CUTTABLE
+    split = earlier = None
+    for count in range(1, len(blades) + 1):
+        parted = part(MODEL, blades[:count], TISSUE)
+        wanted = split_surface(cuttable, parted, blades[:count])
+        for before in (split, earlier):
+            found = split_surface(cuttable, parted, blades[:count], before)
+            assert_same(found, wanted)
+            assert_same(found.surface, wanted.surface)
+            assert_same(found.surface.normals_of, wanted.surface.normals_of)
+        split, earlier = found, split
+    # What another stroke left is no help, and no harm.
+    assert_same(
+        split_surface(cuttable, part(MODEL, blades[-1:], TISSUE), blades[-1:], split).surface,
+        cut(blades[-1:], cuttable)[1].surface,
+    )
+
+
 def test_no_cut_leaves_the_surface_as_it_was():
     _, found = cut([])
     for name, values in vars(CUTTABLE.surface).items():

@@ -12,6 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.arrangement.arrange import NOTHING_CROSSES, crossings
 from heartcase.simulator.arrangement.sheet_mesh import sheet_mesh
 from heartcase.simulator.arrangement.surface_crossings import cross_surface
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
@@ -26,7 +27,8 @@ CUBE = box((3, 3, 3), (3.0, 3.0, 3.0))
 
 def split(surface, blades):
     places, triangles = surface
-    return split_mesh(UncutSurface.of(places, triangles), sheet_mesh(blades))
+    whole = UncutSurface.of(places, triangles)
+    return split_mesh(whole, crossings(whole, blades, NOTHING_CROSSES, 0))
 
 
 def volumes_of(found):
@@ -107,6 +109,9 @@ def test_taking_a_sheet_back_gives_the_same_bytes(surface, blades, more):
     split(surface, blades + more)
     again = split(surface, list(blades))
     for name, values in vars(before).items():
+        if values is None:
+            assert getattr(again, name) is None
+            continue
         assert values.tobytes() == getattr(again, name).tobytes(), name
     places, triangles = surface
     none = split(surface, [])
@@ -162,6 +167,7 @@ def test_triangles_cross_as_they_do_in_fractions(surface, sheet):
         mesh.vertices,
         mesh.triangles,
         mesh.edges,
+        np.arange(len(mesh.triangles)),
         pairs,
         ends,
         np.empty((99, 2, 2, 3)),

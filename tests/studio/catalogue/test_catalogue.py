@@ -23,6 +23,7 @@ from heartcase.studio.catalogue.site import write_catalogue
 from heartcase.studio.catalogue.words import WORDS
 from heartcase.studio.offline.oxygenation import Oxygen, oxygenation
 from tests.cli.small_case import write_case
+from tests.simulator.touring.hollow_tour import TOUR
 
 ASSETS = Path(__file__).parents[3] / "heartcase/studio/catalogue/assets"
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)> \"'&\u2028\u2029 {{ 7*7 }}"
@@ -425,6 +426,21 @@ def test_a_case_whose_surface_is_tied_to_nothing_is_shown_in_pictures_alone(libr
     assert len(page.all("img")) == 2
     assert WORDS["no_map"][0] in page.text
     assert not [attrs for attrs in page.all("a") if attrs.get("id") == "open-view"]
+
+
+def test_a_tour_that_is_wrong_is_told_in_every_run_and_its_case_is_shown(library, capsys):
+    cases = library("one", about=about())
+    wrong = TOUR.replace("heartcase_tour = 1", "heartcase_tour = 1\ncolour = 3")
+    (cases / "one.tour.md").write_text(wrong)
+    first = write_catalogue(cases)
+    assert first.made == ("one",)
+    assert ["colour" in str(one) for one in first.warnings["one"]] == [True]
+    again = write_catalogue(cases)
+    assert (again.made, again.warnings) == ((), first.warnings)
+    main(["library", "catalogue", str(cases)])
+    assert "one: warning: " in capsys.readouterr().err
+    (cases / "one.tour.md").unlink()
+    assert write_catalogue(cases).warnings == {}
 
 
 def test_all_cases_share_one_viewer(library):

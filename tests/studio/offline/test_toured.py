@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from heartcase.cli.shared.web_pages import page_of
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.touring.reading import parse_tour
 from heartcase.simulator.load import load_case
 from heartcase.simulator.touring.case_places import CasePlaces
 from heartcase.simulator.touring.staging import staged_scenes
+from heartcase.studio.offline.exported import page_of
 from heartcase.studio.offline.toured import Toured
 from heartcase.studio.touring.found_tours import ShownTour
 from tests.hollow_case import hollow_case

@@ -16,7 +16,7 @@ test("sides are right-handed views from where they say", () => {
 
 test("a direction is told by the sides that it leads to, the strongest first", () => {
   assert.equal(lettersOf([0, -1, 0]), "A");
-  assert.equal(lettersOf([0, 0, 5]), "S");
+  assert.equal(lettersOf([0, 0, 5]), "H");
   assert.deepEqual(sidesOf([1, -2, 0]), ["front", "left"]);
   assert.deepEqual(sidesOf([0.1, -2, 0]), ["front"]);
 });

@@ -58,6 +58,13 @@ def test_incisions_are_cut_held_compared_and_played_side_by_side_and_a_device_pu
         table = page.text("#plans-table")
         assert "held open" in table
         assert "Score" in table
+        # the same recordings, in one file to hand on
+        tab.locator("#save-page").click()
+        tab.locator("#saved-page").wait_for(timeout=120_000.0)
+        assert tab.locator("#saved-page").inner_text() == "Download hollow.html"
+        with tab.expect_download() as taken:
+            tab.locator("#saved-page").click()
+        assert taken.value.path().stat().st_size > 100_000
         tab.locator("#side-by-side").click()
         until(lambda: page.text("#beside-title") == "hollow-1" and " of " in page.text("#beside-time"))
         hands.until(lambda header: header["mode"] == "paused" and header["act_count"] == 5)

@@ -6,17 +6,23 @@ import { filled, warningWords } from "../../../heartcase/studio/page/building/wa
 import { language } from "../../../heartcase/studio/page/shared/words.js";
 
 test("a template takes its values, its optional parts and its number", () => {
+  language.value = "de";
   const template = "{count#} <Teil|Teile>[ und {more#} mehr], [[pins]] \\[x\\]";
   assert.equal(filled(template, { count: "1" }), "1 Teil, [[pins]] [x]");
   assert.equal(filled(template, { count: "3", more: "1,234.5" }), "3 Teile und 1.234,5 mehr, [[pins]] [x]");
 });
 
-test("English is what the server says, German is from kind and values, and what has no words stays English", () => {
+test("English is what the server says but for settings of a recipe's file, German is from kind and values", () => {
   const warning = { text: "The aorta ends in a closed sac.", code: "closed-sac", parts: { label: "aorta", about: "ends[1]" } };
   language.value = "en";
-  assert.equal(warningWords(warning), warning.text);
+  assert.match(warningWords(warning), /^Vessel end 1: The aorta ends in a closed sac, .*\(Shape, Find vessel ends\)\.$/);
+  const thin = { text: "", code: "smoothed-narrower", parts: { label: "aorta", place: "(1.5, 2, 3)", before: "4.5", after: "3.2" } };
+  assert.equal(warningWords(thin), "Aorta: the smoothing of the outlines narrows it near (1.5, 2, 3) mm from 4.5 mm to 3.2 mm; smooth less (Shape, Walls).");
+  const shut = { text: "ends[2] (aorta): other structures close the vessel.", code: "end-shut", parts: { about: "ends[2] (aorta)" } };
+  assert.equal(warningWords(shut), "Vessel end 2 (aorta): other structures close the vessel.");
+  assert.equal(warningWords({ text: 'Edits[3] "VSD": odd.', code: "", parts: {} }), 'Edit 3 "VSD": odd.');
   language.value = "de";
-  assert.match(warningWords(warning), /^Ends\[1\]: aorta endet in einem geschlossenen Sack.*\.$/);
+  assert.match(warningWords(warning), /^Gefäßende 1: aorta endet in einem geschlossenen Sack.*\.$/);
   assert.equal(warningWords({ text: "Odd.", code: "", parts: {} }), "Odd.");
   const places = { text: "", code: "wall-gap", parts: { label: "aorta", where: "over 60 mm² in 2 patches, the largest near (-5.1, -0.7, -2.4) mm" } };
   assert.match(warningWords(places), /Lücke auf 60 mm² an 2 Stellen, die größte bei \(-5\.1, -0\.7, -2\.4\) mm und/);

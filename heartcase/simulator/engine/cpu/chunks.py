@@ -19,8 +19,9 @@ from numba import get_num_threads
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Int32, Int64
 from heartcase.simulator.engine.cpu.sleep import SleepArrays
+from heartcase.simulator.engine.shared.cell_kernels import write_lists
 from heartcase.simulator.engine.shared.lane_kernels import windows_behind
-from heartcase.simulator.engine.shared.lanes import LANE_COUNT, LaneLayout
+from heartcase.simulator.engine.shared.lanes import LaneLayout
 from heartcase.simulator.lattice.model import DIRECTIONS
 
 __all__ = ["KEPT_NODES_MAX", "ChunkArrays", "chunk_arrays", "share_out"]
@@ -84,13 +85,12 @@ def chunk_arrays(
 
 
 def _windows_behind(layout: LaneLayout) -> Int32:
-    window_count = layout.window_count
-    window_of_lane = np.full(layout.lane_count, -1, np.int32)
-    window_of_lane[layout.window_rows[:, 4, None] + np.arange(LANE_COUNT)] = np.arange(window_count)[:, None]
-    room = np.full((window_count, len(DIRECTIONS) * LANE_COUNT), -1, np.int32)
-    counts = np.empty(window_count, np.int64)
-    windows_behind(layout.window_rows, DIRECTIONS, window_of_lane, LANE_COUNT, room, counts)
-    return np.ascontiguousarray(room[:, : max(1, int(counts.max(initial=0)))])
+    window_count, (starts, window_of) = layout.window_count, layout.windows_by_lanes
+    room, firsts = np.empty(2 * len(DIRECTIONS) * window_count, np.int32), np.empty(window_count + 1, np.int64)
+    longest = windows_behind(layout.window_rows, DIRECTIONS, starts, window_of, room, firsts)
+    behind = np.empty((window_count, max(1, longest)), np.int32)
+    write_lists(room, firsts, behind)
+    return behind
 
 
 @kernel

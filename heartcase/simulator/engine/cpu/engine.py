@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 from numba import get_num_threads
 
-from heartcase.schemas.arrays import Float32, Float64, Int64, Intp
+from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cpu.arrays import (
     CellArrays,
@@ -34,22 +33,20 @@ from heartcase.simulator.engine.cpu.kernel import (
     advance,
     lane_forces,
 )
+from heartcase.simulator.engine.cpu.room import aligned, untouched
 from heartcase.simulator.engine.cpu.sleep import ROUNDING, sleep_arrays
 from heartcase.simulator.engine.cpu.springs import WINDOW_NUMBERS
 from heartcase.simulator.engine.cpu.tethers import tether_arrays
 from heartcase.simulator.engine.cpu.turning import turn_arrays
+from heartcase.simulator.engine.shared.cell_lanes import cell_layout, inverse_shared, share_numbers
 from heartcase.simulator.engine.shared.contact import NO_PROBES
-from heartcase.simulator.engine.shared.lanes import (
-    EMPTY_START,
-    LANE_COUNT,
-    ROWS,
-    SHARE_NUMBERS,
-    cell_layout,
-    cell_numbers,
-    inverse_shared,
-    lane_layout,
-    share_numbers,
+from heartcase.simulator.engine.shared.lane_arrays import (
+    copy_into_windows,
+    read_vectors,
+    write_vectors,
 )
+from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT, SHARE_NUMBERS, lane_layout
+from heartcase.simulator.engine.shared.spring_kernels import copy_from_windows
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.lattice.tethers import Tethers
@@ -66,23 +63,21 @@ class CpuEngine:
 
     def __init__(self, model: LatticeModel) -> None:
         self.layout = layout = lane_layout(model, in_banks=True)
-        # The row of no window: one of empty lanes.
-        rows = np.vstack([layout.window_rows, np.full((1, len(ROWS)), EMPTY_START)])
-        self._rows = rows[:-1]
-        self._vectors = layout.places(layout.node_lane, 3)
+        self._rows = layout.window_rows
         self._keeps_tensions = model.node_count <= KEPT_NODES_MAX
         # Displacement in two buffers, velocity and inverse mass share one array, what is seldom needed another. Each is
         # a view that reaches over the others' places: only the lanes of nodes are written.
-        state, room = _aligned((layout.length(10),)), _aligned((layout.length(9),))
+        state, room = aligned((layout.length(10),)), untouched((layout.length(9),))
         self._buffers = state[: layout.length(6)]
         self.velocity = state[6 * layout.stride :][: layout.length(3)]
         self.inverse_mass = state[9 * layout.stride :][: layout.lane_count]
         self.force = room[: layout.length(3)]
         self._rest = room[3 * layout.stride :][: layout.length(3)]
-        self._rest[self._vectors] = model.node_index
-        self.weight = _aligned((layout.length(len(DIRECTIONS)),))
-        self.tension = _aligned((layout.length(len(DIRECTIONS)) if self._keeps_tensions else 0,))
-        self.window_numbers = _aligned(
+        self._knows_rest = False
+        self._weight: Float32 | None = None
+        self._no_weight = aligned((0,))
+        self.tension = aligned((layout.length(len(DIRECTIONS)) if self._keeps_tensions else 0,))
+        self.window_numbers = aligned(
             (layout.window_count + 1 if self._keeps_tensions else 0, WINDOW_NUMBERS, LANE_COUNT)
         )
         self.cells = cell_layout(model, layout)
@@ -99,8 +94,8 @@ class CpuEngine:
         # Where no cell can act there is no room for what it does.
         may_act = model.law.acts_in_cells or model.law.has_corner_guard
         room_count = -(-(len(self._chunks.ends) - 1) // CHUNKS_PER_ROOM)
-        self.cell_force = _aligned((room_count, layout.length(3 * CHUNKS_PER_ROOM) if may_act else 0))
-        self._means = _aligned((0,)), _aligned((0,))
+        self.cell_force = untouched((room_count, layout.length(3 * CHUNKS_PER_ROOM) if may_act else 0))
+        self._means = aligned((0,)), aligned((0,))
         self.set_springs(model)
         self.set_tethers(Tethers.none())
         self.set_inverse_mass(model.inverse_mass)
@@ -115,30 +110,44 @@ class CpuEngine:
         return float(self._sleep.counts[0]) / self.layout.window_count
 
     @property
+    def weight(self) -> Float32:
+        """Spring stiffness by direction [k], nine numbers a lane; put together when it is first asked for."""
+        if self._weight is None:
+            weight = aligned((self.layout.length(len(DIRECTIONS)),))
+            if self._keeps_tensions:
+                copy_from_windows(self.window_numbers, self._rows, self.layout.stride, len(DIRECTIONS), weight)
+            else:
+                weight[:] = self.layout.spring_weight(self.model, self.model.acting_weight)
+            self._weight = weight
+        return self._weight
+
+    @property
     def displacement(self) -> Float32:
         """The displacement now [cells], three numbers a lane."""
         return self._buffers[3 * self.layout.stride * self.current :][: self.layout.length(3)]
 
     def load(self, state: State) -> None:
         """Start from this state."""
-        self.prescribe(np.arange(len(self.layout.node_lane)), state.displacement, state.velocity)
+        write_vectors(self.layout.node_lane, state.displacement, self.displacement)
+        write_vectors(self.layout.node_lane, state.velocity, self.velocity)
         self.step_count = state.step_count
 
     def read(self) -> State:
         """A copy of the state."""
-        return State(self.displacement[self._vectors], self.velocity[self._vectors], self.step_count)
+        return State(self._vectors(self.displacement), self._vectors(self.velocity), self.step_count)
 
     def prescribe(self, nodes: Intp, displacement: Float32, velocity: Float32) -> None:
         """Set where nodes are and how they move on."""
-        self.displacement[self._vectors[nodes]] = displacement
-        self.velocity[self._vectors[nodes]] = velocity
+        places = self.layout.places(self.layout.node_lane[nodes], 3)
+        self.displacement[places] = displacement
+        self.velocity[places] = velocity
 
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
         """Inverse masses; nodes at zero keep their velocity."""
         self.inverse_mass[self.layout.node_lane] = inverse_mass
         self.inverse_mass[self._ghosts.lane] = self.inverse_mass[self._ghosts.of_lane]
         if self._keeps_tensions:
-            self.window_numbers[:-1, -1] = self.inverse_mass[self._window_lanes]
+            copy_into_windows(self.inverse_mass, self._rows, len(DIRECTIONS), self.window_numbers)
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
@@ -171,6 +180,9 @@ class CpuEngine:
         def part(thread: int, thread_count: int, barrier: Barrier) -> int:
             return int(advance(*arguments, ThreadPlace(thread, thread_count, barrier)))
 
+        if len(probes) and not self._knows_rest:
+            write_vectors(self.layout.node_lane, self.model.node_index, self._rest)
+            self._knows_rest = True
         if first_step == 0:
             self._given = np.zeros((SHARES, len(probes), 6))
         constants = tuple(np.float32(number) for number in verlet.numbers)
@@ -179,7 +191,7 @@ class CpuEngine:
             NodeArrays(
                 self._buffers,
                 self.velocity,
-                self.weight,
+                self._no_weight if self._keeps_tensions else self.weight,
                 self.window_numbers,
                 self.tension,
                 self.inverse_mass,
@@ -200,19 +212,22 @@ class CpuEngine:
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs of another model of the same nodes."""
         law = model.law
-        weight = model.acting_weight
-        self.weight[:] = self.layout.spring_weight(model, weight)
+        self._weight = None
         if self._keeps_tensions:
-            for direction in range(len(DIRECTIONS)):
-                self.window_numbers[:-1, direction] = self.weight[direction * self.layout.stride + self._window_lanes]
+            self.window_numbers[:, :-1] = 0
+            has_springs = self.layout.write_window_weight(model, *model.scaled_weight, self.window_numbers)
+        else:
+            has_springs = bool(model.scaled_weight[0].any())
         in_cells = ELEMENTS if law.is_element else VOLUME_TERM if law.has_volume_term else NO_CELLS
         if model.shares_strain:
             in_cells = SHARING_ELEMENTS
         self._sharing = self._sharing_arrays(model)
-        self._kinds = (in_cells, bool(weight.any()), law.has_corner_guard)
+        numbers = self._cell_room(CELL_NUMBERS)
+        self.cells.write_numbers(model, numbers)
+        self._kinds = (in_cells, has_springs, law.has_corner_guard)
         self._cell_arrays = CellArrays(
             self.cells.window_rows,
-            _copied(self.cells.by_window(cell_numbers(model))),
+            numbers,
             self.cell_force,
             np.array(law.constants, np.float32),
             self.is_flat,
@@ -232,25 +247,26 @@ class CpuEngine:
         """What elements need that share strain."""
         is_sharing = np.zeros(len(self.cells.window_rows), np.int8)
         if not model.shares_strain:
-            none = _aligned((0, SHARE_NUMBERS, LANE_COUNT))
-            return SharingArrays(none, none, _aligned((0,)), none, *self._means, is_sharing)
+            none = aligned((0, SHARE_NUMBERS, LANE_COUNT))
+            return SharingArrays(none, none, aligned((0,)), none, *self._means, is_sharing)
         if not len(self._means[0]):
             length = self.layout.length(SHARE_NUMBERS)
-            self._means = _aligned((length,)), _aligned((length,))
+            self._means = aligned((length,)), aligned((length,))
         # Cells that share nothing any more are not written, but read, with a share of zero: no number must be left.
         self._means[0][:] = 0.0
         shares, ghosts, layout = share_numbers(model), self._ghosts, self.layout
-        inverse = np.zeros((layout.window_count, LANE_COUNT), np.float32)
-        inverse[layout.node_slot // LANE_COUNT, layout.node_slot % LANE_COUNT] = inverse_shared(model)
-        around = np.concatenate([self.cells.by_node_window(shares[:-1]), inverse[:, None]], axis=1)
+        around = aligned((layout.window_count, SHARE_NUMBERS, LANE_COUNT))
+        self.cells.by_node_window(model, shares[:-1], inverse_shared(model), around)
         cell = layout.irregular_cells[ghosts.ghost_number // 8]
+        by_window = self._cell_room(SHARE_NUMBERS)
+        self.cells.write_by_window(shares, 0, by_window)
         windows = np.unique(self.cells.cell_slot[model.shared_stiffness.any(axis=1)] // LANE_COUNT)
         is_sharing[windows] = 1
         return SharingArrays(
-            _copied(self.cells.by_window(shares)),
-            _copied(around),
+            by_window,
+            around,
             shares[ghosts.ghost_number % 8, cell],
-            _aligned((int(ghosts.window_number.max(initial=-1)) + 1, SHARE_NUMBERS, LANE_COUNT)),
+            aligned((int(ghosts.window_number.max(initial=-1)) + 1, SHARE_NUMBERS, LANE_COUNT)),
             *self._means,
             is_sharing,
         )
@@ -260,7 +276,10 @@ class CpuEngine:
         rows = self.layout.window_rows if nodes is None else self.layout.windows_of(nodes)
         work = CellWork(self._cell_arrays, self._kinds, self._sharing, self._ghosts)
         lane_forces(self.displacement, self.weight, self.force, rows, work, self._rows, self._sleep, self._chunks)
-        force = self.force[self._vectors if nodes is None else self._vectors[nodes]]
+        if nodes is None:
+            force = self._vectors(self.force)
+        else:
+            force = self.force[self.layout.places(self.layout.node_lane[nodes], 3)]
         if len(self._springs_apart.other):
             apart = self._springs_apart.forces(self.read().displacement)
             force += apart if nodes is None else apart[nodes]
@@ -269,21 +288,12 @@ class CpuEngine:
             force += apart if nodes is None else apart[nodes]
         return force
 
-    @cached_property
-    def _window_lanes(self) -> Int64:
-        """Lanes of each window, shape (window_count, 8)."""
-        return self._rows[:, 4, None] + np.arange(LANE_COUNT)
+    def _vectors(self, array: Float32) -> Float32:
+        """Three numbers of each node, shape (node_count, 3)."""
+        vectors = np.empty((len(self.layout.node_lane), 3), np.float32)
+        read_vectors(self.layout.node_lane, array, vectors)
+        return vectors
 
-
-def _aligned(shape: tuple[int, ...]) -> Float32:
-    """Zeros that start on a cache line: a vector load across two lines costs double."""
-    line = 16
-    room = np.zeros(int(np.prod(shape)) + line, np.float32)
-    shift = -(room.ctypes.data // room.itemsize) % line
-    return room[shift : shift + int(np.prod(shape))].reshape(shape)
-
-
-def _copied(values: Float32) -> Float32:
-    copied = _aligned(values.shape)
-    copied[:] = values
-    return copied
+    def _cell_room(self, number_count: int) -> Float32:
+        """Zeros for so many numbers of each window of cells."""
+        return aligned((len(self.cells.window_rows), number_count, LANE_COUNT))

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Int8, Int64
-from heartcase.simulator.engine.shared.lanes import BANK_LANES, GHOST_CELLS, LANE_COUNT, SHARE_NUMBERS, CellLayout
+from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
+from heartcase.simulator.engine.shared.cell_lanes import CellLayout
+from heartcase.simulator.engine.shared.lanes import BANK_LANES, GHOST_CELLS, SHARE_NUMBERS
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = [
@@ -56,27 +57,74 @@ _GHOSTS = 8 * GHOST_CELLS
 
 def ghost_arrays(model: LatticeModel, cells: CellLayout) -> GhostArrays:
     """The ghosts of a layout."""
-    layout = cells.layout
-    nodes = model.cell_corners[layout.irregular_cells].astype(np.int64).ravel()
-    ghosted = np.unique(nodes)
-    ghosted = ghosted[np.argsort(layout.node_lane[ghosted])]
-    place = np.full(model.node_count, -1)
-    place[ghosted] = np.arange(len(ghosted))
-    by_node = np.argsort(place[nodes], kind="stable")
-    count = len(ghosted)
-    node_first = np.searchsorted(layout.node_slot[ghosted] // LANE_COUNT, np.arange(layout.window_count + 1))
-    has_ghosts = np.diff(node_first) > 0
+    layout, irregular = cells.layout, cells.layout.irregular_cells
+    ghost_count, window_count = 8 * len(irregular), layout.window_count
+    of_lane, cell_lane = np.empty(ghost_count, np.int64), np.empty(ghost_count, np.int64)
+    node_first, window_number = np.zeros(window_count + 1, np.int64), np.full(window_count, -1)
+    node_lane, ghost_first = np.empty(ghost_count, np.int64), np.zeros(ghost_count + 1, np.int64)
+    ghost_number = np.empty(ghost_count, np.int64)
+    nodes = (model.cell_corners, irregular, layout.node_lane, layout.node_slot, layout.slots.by_lane)
+    found = (of_lane, cell_lane, node_first, window_number, node_lane, ghost_first, ghost_number)
+    count = _sort_ghosts(*nodes, cells.cell_lane, *found) if ghost_count else 0
     return GhostArrays(
         first_window=cells.ghost_window,
         lane=cells.ghost_lane.ravel(),
-        of_lane=layout.node_lane[nodes],
+        of_lane=of_lane,
         node_first=node_first,
-        node_lane=layout.node_lane[ghosted],
-        window_number=np.where(has_ghosts, np.cumsum(has_ghosts) - 1, -1),
-        ghost_first=np.searchsorted(place[nodes][by_node], np.arange(count + 1)),
-        ghost_number=by_node,
-        cell_lane=np.repeat(cells.cell_lane[layout.irregular_cells], 8),
+        node_lane=node_lane[:count].copy(),
+        window_number=window_number,
+        ghost_first=ghost_first[: count + 1].copy(),
+        ghost_number=ghost_number,
+        cell_lane=cell_lane,
     )
+
+
+@kernel
+def _sort_ghosts(
+    corners: Int32,
+    irregular: Int64,
+    node_lanes: Int64,
+    node_slot: Int64,
+    by_lane: Int32,
+    cell_lanes: Int64,
+    of_lane: Int64,
+    cell_lane: Int64,
+    node_first: Int64,
+    window_number: Int64,
+    node_lane: Int64,
+    ghost_first: Int64,
+    ghost_number: Int64,
+) -> int:
+    """Write what GhostArrays has of the ghosts of irregular cells; returns how many nodes have some."""
+    counts = np.zeros(len(node_lanes), np.int64)
+    for place in range(len(irregular)):
+        for corner in range(8):
+            node = corners[irregular[place], corner]
+            counts[node] += 1
+            of_lane[8 * place + corner] = node_lanes[node]
+            cell_lane[8 * place + corner] = cell_lanes[irregular[place]]
+    count, window_count = 0, 0
+    for node in by_lane:
+        if not counts[node]:
+            continue
+        window = node_slot[node] >> 3
+        if window_number[window] < 0:
+            window_number[window] = window_count
+            window_count += 1
+        node_first[window + 1] += 1
+        node_lane[count] = node_lanes[node]
+        ghost_first[count + 1] = ghost_first[count] + counts[node]
+        # From here on where the next of the node's ghosts is put.
+        counts[node] = ghost_first[count]
+        count += 1
+    for window in range(len(window_number)):
+        node_first[window + 1] += node_first[window]
+    for place in range(len(irregular)):
+        for corner in range(8):
+            node = corners[irregular[place], corner]
+            ghost_number[counts[node]] = 8 * place + corner
+            counts[node] += 1
+    return count
 
 
 @kernel

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Int64
+from heartcase.schemas.arrays import Float32, Int32, Int64
 from heartcase.simulator.engine.cpu.chunks import ChunkArrays
 from heartcase.simulator.engine.cpu.springs import EXPLICIT_NUMBERS, pull_of_group
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, EMPTY_START, LANE_COUNT, LaneLayout
@@ -44,32 +44,94 @@ class ExplicitArrays(NamedTuple):
 
 def explicit_arrays(layout: LaneLayout, springs: SpringsByNode) -> ExplicitArrays:
     """Put the nodes with springs into groups."""
-    counts = np.diff(springs.first)
-    nodes = np.flatnonzero(counts)
-    nodes = nodes[np.argsort(layout.node_lane[nodes])]
-    nodes = nodes[np.lexsort((-counts[nodes], np.arange(len(nodes)) // _NEAR))]
-    group_count = -(-len(nodes) // LANE_COUNT)
-    group, place = np.divmod(np.arange(len(nodes)), LANE_COUNT)
-    lane = np.full((group_count, LANE_COUNT), EMPTY_START)
-    lane[group, place] = layout.node_lane[nodes]
-    window = np.repeat(layout.node_slot[nodes[::LANE_COUNT], None] // LANE_COUNT, LANE_COUNT, axis=1)
-    window[group, place] = layout.node_slot[nodes] // LANE_COUNT
-    longest = np.maximum.reduceat(counts[nodes], np.arange(0, len(nodes), LANE_COUNT)) if len(nodes) else counts[:0]
-    first = np.concatenate([[0], np.cumsum(longest)]).astype(np.int64)
-
-    other = np.repeat(lane, longest, axis=0)
-    numbers = np.zeros((len(other), EXPLICIT_NUMBERS, LANE_COUNT), np.float32)
-    # A spring that does not pull, of length one, to the node itself.
-    numbers[:, [0, 3]] = 1.0
-    of_node = np.repeat(np.arange(len(nodes)), counts[nodes])
-    number = np.arange(len(of_node)) - np.repeat(np.cumsum(counts[nodes]) - counts[nodes], counts[nodes])
-    spring = springs.first[nodes][of_node] + number
-    row, column = first[group[of_node]] + number, place[of_node]
-    other[row, column] = layout.node_lane[springs.other[spring]]
-    numbers[row, :4, column] = springs.offset[spring]
-    numbers[row, 4, column] = springs.excess[spring]
-    numbers[row, 5, column] = springs.stiffness[spring]
+    nodes = np.empty(len(layout.node_lane) if len(springs.other) else 0, np.int32)
+    count = _order_nodes(springs.first, layout.slots.by_lane, nodes) if len(nodes) else 0
+    group_count = -(-count // LANE_COUNT)
+    lane, window = np.empty((group_count, LANE_COUNT), np.int64), np.empty((group_count, LANE_COUNT), np.int64)
+    first = np.zeros(group_count + 1, np.int64)
+    row_count = _lay_out_groups(nodes[:count], springs.first, layout.node_lane, layout.node_slot, lane, window, first)
+    other = np.empty((row_count, LANE_COUNT), np.int64)
+    numbers = np.empty((row_count, EXPLICIT_NUMBERS, LANE_COUNT), np.float32)
+    values = (springs.first, springs.other, springs.offset, springs.excess, springs.stiffness)
+    _fill_groups(nodes[:count], *values, layout.node_lane, lane, first, other, numbers)
     return ExplicitArrays(lane, window, first, other, numbers)
+
+
+@kernel
+def _order_nodes(springs_first: Int32, by_lane: Int32, nodes: Int32) -> int:
+    """List the nodes with springs by lane, and those near each other by how many they have, most first.
+
+    Returns how many there are.
+    """
+    count = 0
+    for node in by_lane:
+        springs = springs_first[node + 1] - springs_first[node]
+        if not springs:
+            continue
+        place = count
+        while place % _NEAR:
+            before = nodes[place - 1]
+            if springs_first[before + 1] - springs_first[before] >= springs:
+                break
+            nodes[place] = before
+            place -= 1
+        nodes[place] = node
+        count += 1
+    return count
+
+
+@kernel
+def _lay_out_groups(
+    nodes: Int32, springs_first: Int32, node_lane: Int64, node_slot: Int64, lane: Int64, window: Int64, first: Int64
+) -> int:
+    """Write lanes and windows of the groups' nodes, and where their springs begin; returns where the last end."""
+    for group in range(len(lane)):
+        longest = 0
+        for place in range(LANE_COUNT):
+            at = LANE_COUNT * group + place
+            node = nodes[min(at, len(nodes) - 1)]
+            is_there = at < len(nodes)
+            lane[group, place] = node_lane[node] if is_there else EMPTY_START
+            window[group, place] = node_slot[node] // LANE_COUNT if is_there else window[group, 0]
+            if is_there:
+                longest = max(longest, springs_first[node + 1] - springs_first[node])
+        first[group + 1] = first[group] + longest
+    end: int = first[len(lane)]
+    return end
+
+
+@kernel
+def _fill_groups(
+    nodes: Int32,
+    springs_first: Int32,
+    springs_other: Int32,
+    offset: Float32,
+    excess: Float32,
+    stiffness: Float32,
+    node_lane: Int64,
+    lane: Int64,
+    first: Int64,
+    other: Int64,
+    numbers: Float32,
+) -> None:
+    """Write the springs of the groups; of a node that has less than its group, some that do not pull: to itself."""
+    numbers[:] = 0
+    for group in range(len(lane)):
+        for place in range(LANE_COUNT):
+            at = LANE_COUNT * group + place
+            start = springs_first[nodes[at]] if at < len(nodes) else 0
+            count = springs_first[nodes[at] + 1] - start if at < len(nodes) else 0
+            for row in range(first[group], first[group + 1]):
+                spring = start + row - first[group]
+                if row - first[group] >= count:
+                    other[row, place] = lane[group, place]
+                    numbers[row, 0, place] = numbers[row, 3, place] = 1
+                    continue
+                other[row, place] = node_lane[springs_other[spring]]
+                for number in range(4):
+                    numbers[row, number, place] = offset[spring, number]
+                numbers[row, 4, place] = excess[spring]
+                numbers[row, 5, place] = stiffness[spring]
 
 
 @kernel

@@ -24,6 +24,7 @@ from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
 from heartcase.schemas.bundle.lattice import distinct_keys, lattice_keys
 from heartcase.simulator.engine.cpu.barrier import raise_to
 from heartcase.simulator.engine.shared.contact import REACH
+from heartcase.simulator.engine.shared.lane_kernels import bounds
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT, LaneLayout
 from heartcase.simulator.lattice.model import LatticeModel
 
@@ -48,6 +49,8 @@ ROUSE_STEPS = 64
 PULLED, QUICK = np.int8(1), np.int8(2)
 """Why a block is not still."""
 _BLOCK = 8
+_PLACES_PER_WINDOW = 16
+"""Blocks of a lattice's box over its windows up to which a table holds the number of each."""
 _MASS = np.float32(0.5)
 """Mass up to which it is the force on a node that counts, not how it is accelerated [full cells]."""
 ROUNDING = 32.0 * float(np.finfo(np.float32).eps)
@@ -81,33 +84,100 @@ class SleepArrays(NamedTuple):
 
 def sleep_arrays(model: LatticeModel, layout: LaneLayout, cell_window_count: int, before: Float32) -> SleepArrays:
     """The windows of a layout in their blocks; all are awake at first. Room for velocities is given."""
-    by_lane = layout.nodes_by_lane
-    window = layout.node_slot[by_lane] // LANE_COUNT
-    first = np.flatnonzero(np.diff(window, prepend=-1))
-    last = np.append(first[1:], len(window)) - 1
-    index = model.node_index[by_lane[np.stack([first, last], axis=1)]] // _BLOCK
-    keys = lattice_keys(index.reshape(-1, 3))
-    used = distinct_keys(keys)
-    blocks = np.empty((len(used), 3), index.dtype)
-    number = np.searchsorted(used, keys)
-    blocks[number] = index.reshape(-1, 3)
-    around = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    near = lattice_keys((blocks[:, None] + around).reshape(-1, 3)).reshape(len(blocks), -1)
-    place = np.minimum(np.searchsorted(used, near), len(used) - 1)
-    beside = np.where(used[place] == near, place, -1)
     window_count = layout.window_count
+    places = np.empty((window_count, 2, 3), np.int32)
+    _blocks_of_windows(model.node_index, layout.slots.by_lane, layout.slots.first, places)
+    number, beside = _numbered_blocks(places)
     return SleepArrays(
-        number.reshape(-1, 2).astype(np.int32),
-        np.sort(beside, axis=1)[:, ::-1].astype(np.int32),
-        np.zeros(len(blocks), np.int8),
-        np.zeros(len(blocks), np.int8),
-        np.ones(len(blocks), np.int8),
+        number,
+        beside,
+        np.zeros(len(beside), np.int8),
+        np.zeros(len(beside), np.int8),
+        np.ones(len(beside), np.int8),
         np.zeros(window_count, np.int8),
         np.arange(window_count),
         np.arange(cell_window_count),
         np.array([window_count, cell_window_count]),
         before,
     )
+
+
+def _numbered_blocks(places: Int32) -> tuple[Int32, Int32]:
+    """Numbers of blocks at some places (i, j, k), shape (any, 2, 3), and those of all blocks around each."""
+    (i, j, k), (i_most, j_most, k_most) = bounds(places.reshape(-1, 3)).tolist()
+    shape = (k_most - k + 3, j_most - j + 3, i_most - i + 3)
+    if shape[0] * shape[1] * shape[2] > _PLACES_PER_WINDOW * (len(places) + 64):
+        return _searched_blocks(places)
+    table, number = np.zeros(shape, np.int32), np.empty(places.shape[:2], np.int32)
+    beside = np.empty((_number_blocks(places, np.array([i, j, k]), table, number), 27), np.int32)
+    _blocks_beside(table, beside)
+    return number, beside
+
+
+def _searched_blocks(places: Int32) -> tuple[Int32, Int32]:
+    """The same of blocks that lie far apart."""
+    keys = lattice_keys(places.reshape(-1, 3))
+    used = distinct_keys(keys)
+    blocks = np.empty((len(used), 3), places.dtype)
+    number = np.searchsorted(used, keys)
+    blocks[number] = places.reshape(-1, 3)
+    around = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    near = lattice_keys((blocks[:, None] + around).reshape(-1, 3)).reshape(len(blocks), -1)
+    place = np.minimum(np.searchsorted(used, near), len(used) - 1)
+    beside = np.where(used[place] == near, place, -1)
+    return number.reshape(-1, 2).astype(np.int32), np.sort(beside, axis=1)[:, ::-1].astype(np.int32)
+
+
+@kernel
+def _blocks_of_windows(node_index: Int32, by_lane: Int32, first: Int32, places: Int32) -> None:
+    """Write the places (i, j, k) of the blocks in which each window begins and ends, shape (window_count, 2, 3)."""
+    for window in range(len(places)):
+        for axis in range(3):
+            places[window, 0, axis] = node_index[by_lane[first[window]], axis] // _BLOCK
+            places[window, 1, axis] = node_index[by_lane[first[window + 1] - 1], axis] // _BLOCK
+
+
+@kernel
+def _number_blocks(places: Int32, low: Int64, table: Int32, number: Int32) -> int:
+    """Number blocks at some places by k, j and i; returns how many there are.
+
+    ``table``: zeros, shape (k, j, i), written from one before the least place on with the number and one more.
+    """
+    flat = table.ravel()
+    for place in range(len(places)):
+        for end in range(2):
+            i, j, k = places[place, end, 0] - low[0], places[place, end, 1] - low[1], places[place, end, 2] - low[2]
+            at = ((k + 1) * table.shape[1] + j + 1) * table.shape[2] + i + 1
+            number[place, end] = at
+            flat[at] = 1
+    count = 0
+    for at in range(len(flat)):
+        if flat[at]:
+            count += 1
+            flat[at] = count
+    for place in range(len(places)):
+        for end in range(2):
+            number[place, end] = flat[number[place, end]] - 1
+    return count
+
+
+@kernel
+def _blocks_beside(table: Int32, beside: Int32) -> None:
+    """Write the numbers of all blocks around each block, descending, then -1; of a table as of the kernel above."""
+    beside[:] = -1
+    for k in range(1, table.shape[0] - 1):
+        for j in range(1, table.shape[1] - 1):
+            for i in range(1, table.shape[2] - 1):
+                if not table[k, j, i]:
+                    continue
+                count = 0
+                for dk in range(1, -2, -1):
+                    for dj in range(1, -2, -1):
+                        for di in range(1, -2, -1):
+                            other = table[k + dk, j + dj, i + di]
+                            if other:
+                                beside[table[k, j, i] - 1, count] = other - 1
+                                count += 1
 
 
 @kernel

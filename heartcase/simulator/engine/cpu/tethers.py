@@ -16,7 +16,7 @@ from heartcase.simulator.engine.cpu.chunks import ChunkArrays
 from heartcase.simulator.engine.cpu.instruments import Constants
 from heartcase.simulator.engine.cpu.sleep import PULLED, SleepArrays
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT, LaneLayout
-from heartcase.simulator.lattice.tethers import Tethers, TethersByNode
+from heartcase.simulator.lattice.tethers import END_NODES, Tethers, TethersByNode
 
 __all__ = ["TetherArrays", "keep_both_ends_awake", "pull_by_tethers", "stretch_tethers", "tether_arrays"]
 
@@ -48,6 +48,8 @@ class TetherArrays(NamedTuple):
 
 def tether_arrays(layout: LaneLayout, tethers: Tethers) -> TetherArrays:
     """Tethers in a layout."""
+    if not tethers.count:
+        return _nothing_tied()
     by_node = TethersByNode.of(tethers)
     window_of = layout.node_slot // LANE_COUNT
     return TetherArrays(
@@ -62,6 +64,13 @@ def tether_arrays(layout: LaneLayout, tethers: Tethers) -> TetherArrays:
         by_node.number.astype(np.int64),
         by_node.share.astype(np.float32),
     )
+
+
+def _nothing_tied() -> TetherArrays:
+    lanes, shares = np.zeros((0, 2 * END_NODES), np.int64), np.zeros((0, 2 * END_NODES), np.float32)
+    shapes, pull = np.zeros((0, 8), np.float32), np.zeros((0, 3), np.float32)
+    nodes, first, numbers = np.zeros(0, np.int64), np.zeros(1, np.int64), np.zeros(0, np.float32)
+    return TetherArrays(lanes, lanes, shares, shapes, pull, nodes, nodes, first, nodes, numbers)
 
 
 @kernel

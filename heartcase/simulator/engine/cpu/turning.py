@@ -16,6 +16,7 @@ from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Float64, Int8, Int64
 from heartcase.simulator.engine.cpu.barrier import raise_to
 from heartcase.simulator.engine.cpu.ghosts import GhostArrays
+from heartcase.simulator.engine.cpu.room import untouched
 from heartcase.simulator.engine.shared.contact import make_contact
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT, LaneLayout
 from heartcase.simulator.engine.shared.turning import CORNER_NODES, make_turn_math
@@ -46,21 +47,21 @@ class TurnArrays(NamedTuple):
     is_beside: Int8
     """Whether each window of nodes belongs to such a cell, shape (window_count,)."""
     allowed: Float32
-    """What such a cell allows its corners' nodes, eight numbers a lane."""
+    """What such a cell allows its corners' nodes, eight numbers a lane; written before it is read."""
     harm: Int8
     """Whether a corner that is looked after would come to harm in this step, shape (1,)."""
 
 
 def turn_arrays(layout: LaneLayout, cell_window_count: int) -> TurnArrays:
     """The room of a layout; nothing is near, nothing is watched."""
-    lanes, windows = np.zeros(layout.lane_count, np.int8), np.zeros(layout.window_count, np.int8)
+    lane_count, window_count = layout.lane_count, layout.window_count
     return TurnArrays(
-        lanes,
-        windows,
+        untouched((lane_count,), np.int8),
+        np.zeros(window_count, np.int8),
         np.zeros(cell_window_count, np.int8),
-        lanes.copy(),
-        windows.copy(),
-        np.ones(layout.length(8), np.float32),
+        untouched((lane_count,), np.int8),
+        np.zeros(window_count, np.int8),
+        untouched((layout.length(8),)),
         np.zeros(1, np.int8),
     )
 

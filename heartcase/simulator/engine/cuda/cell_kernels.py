@@ -264,7 +264,7 @@ def advance_with_cells(
     corner_lane
         Lane of each cell's corners, corner by corner, uint32, shape (8 * cell_count,).
     numbers
-        Numbers of the cells (:func:`heartcase.simulator.engine.shared.lanes.cell_numbers`), float32, shape (11 *
+        Numbers of the cells (:func:`heartcase.simulator.engine.shared.cell_lanes.cell_numbers`), float32, shape (11 *
         cell_count,).
     cell_force
         Room for the forces on the corners, float32, shape (24 * cell_count,).

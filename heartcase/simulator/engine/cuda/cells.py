@@ -7,13 +7,8 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, UInt32
-from heartcase.simulator.engine.shared.lanes import (
-    SHARE_NUMBERS,
-    LaneLayout,
-    cell_numbers,
-    inverse_shared,
-    share_numbers,
-)
+from heartcase.simulator.engine.shared.cell_lanes import cell_numbers, inverse_shared, share_numbers
+from heartcase.simulator.engine.shared.lanes import SHARE_NUMBERS, LaneLayout
 from heartcase.simulator.lattice.force_law import LOOK_BELOW
 from heartcase.simulator.lattice.model import LatticeModel
 

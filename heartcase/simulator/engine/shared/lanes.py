@@ -16,32 +16,31 @@ CPU's lanes lie in banks, so that the stride is the same for every lattice: a co
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Bool, Float32, Int32, Int64, Intp
-from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, distinct_keys, lattice_keys
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.engine.shared.lane_kernels import (
-    MOST_TOUCHED,
+    lay_out_nodes,
     mark_blocks,
+    mark_over_springs,
     number_blocks,
     rows_of_windows,
-    touched_windows,
-    write_weights,
+    start_slots,
+    windows_by_lanes,
 )
-from heartcase.simulator.engine.shared.node_copies import (
-    are_among,
-    copied_rows,
-    irregular_cells,
-    irregular_springs,
-    vote_for_rows,
+from heartcase.simulator.engine.shared.node_copies import irregular_cells, layers_of_copies, rows_near_copies
+from heartcase.simulator.engine.shared.rows import numbered_rows
+from heartcase.simulator.engine.shared.spring_kernels import (
+    copy_from_windows,
+    find_irregular,
+    first_springs,
+    weigh_windows,
 )
-from heartcase.simulator.forces.cell_forces import tissue_spread
 from heartcase.simulator.lattice.explicit_springs import SpringsByNode
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
@@ -50,26 +49,23 @@ __all__ = [
     "CELL_NUMBERS",
     "EMPTY_START",
     "GHOST_CELLS",
+    "GHOST_ROWS",
     "LANE_COUNT",
     "ROWS",
     "SHARE_NUMBERS",
-    "CellLayout",
     "LaneLayout",
-    "cell_layout",
-    "cell_numbers",
-    "inverse_shared",
+    "Slots",
     "lane_layout",
-    "share_numbers",
 ]
 
 LANE_COUNT = 8
 """Lanes of a block and of a window: one AVX register or two of NEON in float32. 16 leave more lanes empty: slower."""
 
 CELL_NUMBERS = 11
-"""Numbers that the kernels read of a cell: :func:`cell_numbers`."""
+"""Numbers that the kernels read of a cell: :func:`heartcase.simulator.engine.shared.cell_lanes.cell_numbers`."""
 
 SHARE_NUMBERS = 9
-"""Numbers of :func:`share_numbers`, and of a gradient or a stress."""
+"""Numbers of :func:`heartcase.simulator.engine.shared.cell_lanes.share_numbers`, and of a gradient or a stress."""
 
 ROWS: Int32 = np.array([(j, k) for k in (-1, 0, 1) for j in (-1, 0, 1)], dtype=np.int32)
 """Offset (j, k) of a window's own row (number 4) and of the eight rows around it, shape (9, 2)."""
@@ -83,10 +79,24 @@ _BANK_NUMBERS = CELL_NUMBERS
 _HEAD_BLOCKS = 3
 GHOST_CELLS = 4
 """Irregular cells whose ghosts share a window: a cell takes two lanes in each of four rows."""
-_GHOST_ROWS = (4, 5, 7, 8)
+GHOST_ROWS = (4, 5, 7, 8)
 """Numbers in ROWS of the rows that a cell has corners in."""
 EMPTY_START = LANE_COUNT
 """First lane of a block that never holds a node."""
+
+
+@dataclass(frozen=True)
+class Slots:
+    """The blocks that hold nodes, and the empty one behind each run of them, numbered in the order of their lanes."""
+
+    slot_of: Int32
+    """Slot of every eight lanes and one more, else 0, shape (any,)."""
+    node_in: Int32
+    """Node in each lane of the slots, -1 for none, shape (8 * slot_count,)."""
+    by_lane: Int32
+    """Nodes in the order of their lanes, shape (node_count,)."""
+    first: Int32
+    """Where those of each window begin there, and the last end, shape (window_count + 1,)."""
 
 
 @dataclass(frozen=True)
@@ -103,13 +113,17 @@ class LaneLayout:
     """Number of the node's window times 8 plus its place there, shape (node_count,)."""
     window_rows: Int64
     """Lane at the window's first i in the nine ROWS, for each window, shape (window_count, 9); in an empty block where
-    a row has no nodes there."""
+    a row has no nodes there. In memory one more row follows, that of a window of empty lanes."""
     is_near_copies: Bool
     """Whether a node's window lies in or beside a row with copies, shape (node_count,)."""
     irregular_cells: Int64
     """Cells whose corners have ghosts, ascending, shape (irregular_count,)."""
     ghost_start: Int64
     """First lane of the ghosts of each window of GHOST_CELLS of them: four blocks that follow each other, (any,)."""
+    slots: Slots = field(repr=False, compare=False)
+    """How to come from lanes to nodes."""
+    near_cells: Int64 = field(repr=False, compare=False)
+    """Cells with a node near copies, ascending, shape (any,)."""
 
     @property
     def window_count(self) -> int:
@@ -124,15 +138,19 @@ class LaneLayout:
         """Where such an array has the numbers of some lanes, shape (len(lanes), number_count)."""
         return lanes[:, None] + self.stride * np.arange(number_count)
 
-    @cached_property
+    @property
     def node_at(self) -> Int32:
         """Node in each lane, -1 where there is none, shape (lane_count,)."""
-        return _nodes_in_lanes(self.node_lane, self.lane_count)
+        nodes = np.full(self.lane_count, -1, np.int32)
+        nodes[self.node_lane] = np.arange(len(self.node_lane))
+        return nodes
 
     @cached_property
-    def nodes_by_lane(self) -> Int32:
-        """Nodes in the order of their lanes, shape (node_count,)."""
-        return self.node_at[self.node_at >= 0]
+    def windows_by_lanes(self) -> tuple[Int64, Int32]:
+        """First lane of each window, and of every eight lanes the first window that holds some and one more, else 0."""
+        starts, window_of = np.empty(self.window_count, np.int64), np.zeros(self.lane_count // LANE_COUNT + 2, np.int32)
+        windows_by_lanes(self.window_rows, starts, window_of)
+        return starts, window_of
 
     def neighbour_lanes(self, nodes: Int64, offset: Int32) -> Int64:
         """Lanes in which the kernels look for the neighbours of some nodes at an offset (i, j, k), shape (count,)."""
@@ -141,25 +159,34 @@ class LaneLayout:
         lanes: Int64 = self.window_rows[slot // LANE_COUNT, (j + 1) + 3 * (k + 1)] + slot % LANE_COUNT + i
         return lanes
 
-    def irregular_springs(self, model: LatticeModel) -> Bool:
-        """Springs of a model of these nodes whose ends do not lie at fixed distances, shape (spring_count,)."""
-        if not self.is_near_copies.any():
-            return np.zeros(model.spring_count, np.bool_)
+    def irregular_springs(self, model: LatticeModel) -> Int64:
+        """Springs of a model of these nodes whose ends do not lie at fixed distances, ascending, shape (any,)."""
+        if not len(self.near_cells):
+            return np.zeros(0, np.int64)
         if not self._known or self._known[0][0] is not model.spring_nodes:
-            self._known[:] = [(model.spring_nodes, irregular_springs(model, self))]
+            lanes = (self.node_lane, self.node_slot, self.window_rows, self.slots.slot_of, self.slots.node_in)
+            first = np.empty(model.node_count + 1, np.int32)
+            first_springs(model.spring_nodes, first)
+            springs = (model.spring_nodes, model.spring_direction, first)
+            near = (model.cell_corners, self.near_cells, self.is_near_copies)
+            self._known[:] = [(model.spring_nodes, find_irregular(*springs, *near, *lanes))]
         return self._known[0][1]
 
     @cached_property
-    def _known(self) -> list[tuple[Int32, Bool]]:
+    def _known(self) -> list[tuple[Int32, Int64]]:
         """Springs of the model that was asked for last, and which of them are irregular."""
         return []
 
     def springs_apart(self, model: LatticeModel) -> SpringsByNode:
         """Explicit springs and those of the lattice that are irregular, by node."""
-        irregular = np.flatnonzero(self.irregular_springs(model))
-        weight = model.acting_weight[irregular]
+        irregular = self.irregular_springs(model)
+        if not len(irregular):
+            return SpringsByNode.of(model.explicit, model.node_index)
+        values, scale = model.scaled_weight
+        weight = values[irregular] * scale
         irregular, weight = irregular[weight > 0], weight[weight > 0]
-        more = (model.spring_nodes[irregular], weight, model.spring_length[irregular])
+        length = np.linalg.norm(DIRECTIONS, axis=1)[model.spring_direction[irregular]]
+        more = (model.spring_nodes[irregular], weight, length)
         return SpringsByNode.of(model.explicit, model.node_index, more)
 
     def spring_weight(self, model: LatticeModel, spring_weight: Float32 | None = None) -> Float32:
@@ -168,27 +195,42 @@ class LaneLayout:
         Another value of each spring of the model, shape (spring_count,), where one is given. Zero for irregular ones.
         """
         weight = np.zeros(self.length(len(DIRECTIONS)), np.float32)
+        numbers = np.zeros((self.window_count, len(DIRECTIONS), LANE_COUNT), np.float32)
         values = model.spring_weight if spring_weight is None else spring_weight
-        irregular = self.irregular_springs(model)
-        write_weights(
-            model.spring_nodes, model.spring_direction, values, irregular, self.node_lane, self.stride, weight
-        )
+        self.write_window_weight(model, values, np.float32(1.0), numbers)
+        copy_from_windows(numbers, self.window_rows, self.stride, len(DIRECTIONS), weight)
         return weight
+
+    def write_window_weight(self, model: LatticeModel, values: Float32, scale: np.float32, numbers: Float32) -> bool:
+        """Write values of the springs times a number, by window; whether any is not zero.
+
+        Parameters
+        ----------
+        model
+            The lattice.
+        values, scale
+            Values of the springs, shape (spring_count,), and the number.
+        numbers
+            Numbers of each window's lanes by themselves, shape (any, 9 or more, 8), of which the first nine are
+            written where there is a spring that is not irregular.
+        """
+        springs = (model.spring_nodes, model.spring_direction, values, scale, self.irregular_springs(model))
+        return bool(weigh_windows(*springs, self.node_slot, numbers))
 
     def uniform_weight(self, model: LatticeModel) -> Float32:
         """Stiffness of all springs of a window's nodes, where each has 18 and all are alike, else 0 [k].
 
         Shape (window_count,).
         """
-        regular = ~self.irregular_springs(model)
+        regular = np.ones(model.spring_count, np.bool_)
+        regular[self.irregular_springs(model)] = False
         ends = model.spring_nodes[regular].ravel()
         both = np.repeat(model.spring_weight[regular], 2)
         lowest = np.where(np.bincount(ends, minlength=model.node_count) == 2 * len(DIRECTIONS), np.inf, 0.0)
         highest = np.zeros(model.node_count)
         np.minimum.at(lowest, ends, both)
         np.maximum.at(highest, ends, both)
-        by_lane = self.nodes_by_lane
-        first = np.flatnonzero(np.diff(self.node_slot[by_lane] // LANE_COUNT, prepend=-1))
+        by_lane, first = self.slots.by_lane, self.slots.first[:-1]
         low, high = np.minimum.reduceat(lowest[by_lane], first), np.maximum.reduceat(highest[by_lane], first)
         return np.where(low == high, low, 0.0).astype(np.float32)
 
@@ -205,15 +247,20 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
     SimulationError
         A row of nodes along i does not fit into a bank.
     """
-    rows = copied_rows(model)
-    layer = np.zeros(model.node_count, np.int64) if rows is None else rows.layer
-    block = model.node_index[:, 0] // LANE_COUNT
-    first_block, layer_blocks = int(block.min()), int(np.ptp(block)) + 2
-    keys = _row_keys(model.node_index)
-    row_keys = distinct_keys(keys)
-    row = np.searchsorted(row_keys, keys)
-    is_stored = np.zeros((len(row_keys), layer_blocks * (int(layer.max()) + 1)), np.int8)
-    mark_blocks(model.node_index, row, layer, model.spring_nodes, first_block, layer_blocks, LANE_COUNT, is_stored)
+    index, node_count = model.node_index, model.node_count
+    rows = numbered_rows(index)
+    layer, is_copied = layers_of_copies(model, rows)
+    has_copies = len(is_copied) > 0
+    first_block = rows.low[0] // LANE_COUNT
+    layer_blocks = rows.high[0] // LANE_COUNT - first_block + 2
+    is_stored = np.zeros((rows.count, layer_blocks * (int(layer.max()) + 1)), np.int8)
+    block_of = np.empty(node_count, np.int32)
+    # The springs of whole cells are known from their corners.
+    are_whole = bool(model.cell_is_whole.all())
+    cells = model.cells if are_whole else model.cells[:0]
+    mark_blocks(index, rows.row, layer, cells, model.cell_corners, first_block, layer_blocks, is_stored, block_of)
+    if not are_whole:
+        mark_over_springs(index, model.spring_nodes, block_of, is_stored)
     number, block_counts = np.empty(is_stored.shape, np.int32), np.empty(is_stored.size, np.int64)
     block_count, run_count = number_blocks(is_stored, number, block_counts)
     block_counts = block_counts[:run_count].copy()
@@ -225,178 +272,44 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
             f"the CPU takes {capacity - _HEAD_BLOCKS - 1}: use larger cells, or a part of the lattice"
         )
     run_start = _run_starts(block_counts, capacity)
-    before = np.cumsum(block_counts) - block_counts
-    start = np.repeat(run_start - LANE_COUNT * before, block_counts) + LANE_COUNT * np.arange(block_count)
+    lane_count = int(run_start[-1]) + LANE_COUNT * (int(block_counts[-1]) + 1)
+    start = np.empty(block_count + run_count, np.int64)
+    slot_of = np.zeros(lane_count // LANE_COUNT + 1, np.int32)
+    start_slots(block_counts, run_start, start, slot_of)
 
-    own = number[row, block - first_block + layer * layer_blocks]
-    node_lane = start[own] + model.node_index[:, 0] % LANE_COUNT
-    lane_count = int(start[-1]) + 2 * LANE_COUNT
-    by_lane = _nodes_in_lanes(node_lane, lane_count)
-    by_lane = by_lane[by_lane >= 0]
-    first, window_by_lane = _windows(node_lane[by_lane])
-    first = by_lane[first]
-    window = np.empty_like(window_by_lane)
-    window[by_lane] = window_by_lane
-    window_rows = np.full((len(first), len(ROWS)), EMPTY_START)
-    around_keys = _row_keys(model.node_index[first, None] + np.insert(ROWS, 0, 0, axis=1))
-    around = np.where(are_among(around_keys, row_keys), np.searchsorted(row_keys, around_keys), -1)
-    places = model.node_index[first, 0] % LANE_COUNT
-    rows_of_windows(around, block[first] - first_block, places, number, start, LANE_COUNT, window_rows)
-    window_rows[:, 4] = node_lane[first]
-
+    node_in = np.empty(LANE_COUNT * len(start), np.int32)
+    node_lane, node_slot = np.empty(node_count, np.int64), np.empty(node_count, np.int64)
+    by_lane, first = np.empty(node_count, np.int32), np.empty(node_count + 1, np.int32)
+    window_count = lay_out_nodes(index, block_of, number, start, node_in, node_lane, node_slot, by_lane, first)
+    slots = Slots(slot_of, node_in, by_lane, first[: window_count + 1].copy())
+    leading = by_lane[slots.first[:-1]]
+    window_rows = np.full((window_count + 1, len(ROWS)), EMPTY_START)[:-1]
+    around = rows.around(index, leading)
+    rows_of_windows(around, leading, index, first_block, number, start, node_lane, window_rows)
     layout = LaneLayout(
         lane_count=lane_count,
-        stride=0,
+        stride=BANK_LANES if in_banks else lane_count,
         node_lane=node_lane,
-        node_slot=LANE_COUNT * window + node_lane - node_lane[first][window],
+        node_slot=node_slot,
         window_rows=window_rows,
-        is_near_copies=np.zeros(model.node_count, np.bool_),
+        is_near_copies=np.zeros(node_count, np.bool_),
         irregular_cells=np.zeros(0, np.int64),
         ghost_start=np.zeros(0, np.int64),
+        slots=slots,
+        near_cells=np.zeros(0, np.int64),
     )
-    if rows is not None:
-        is_near = np.asarray(are_among(around_keys, rows.row_keys).any(axis=1))
-        near = np.flatnonzero(is_near)
-        window_rows[near] = np.where(np.arange(len(ROWS)) == 4, window_rows[near], EMPTY_START)
-        vote_for_rows(model, node_lane, layout.node_slot, near, window_rows, layout.lane_count)
-        layout = replace(layout, is_near_copies=is_near[window])
-        irregular = irregular_cells(model, layout)
-        ghost_blocks = np.full(-(-len(irregular) // GHOST_CELLS), len(_GHOST_ROWS))
-        room = capacity if in_banks else capacity + (len(_GHOST_ROWS) + 1) * len(ghost_blocks)
-        ghost_start = _run_starts(np.concatenate([block_counts, ghost_blocks]), room)[len(block_counts) :]
+    if has_copies:
+        near_cells = rows_near_copies(model, layout, around, is_copied)
+        irregular = irregular_cells(model, layout, near_cells)
+        layout = replace(layout, near_cells=near_cells[0])
+        ghost_blocks = np.full(-(-len(irregular) // GHOST_CELLS), len(GHOST_ROWS))
+        room = capacity if in_banks else capacity + (len(GHOST_ROWS) + 1) * len(ghost_blocks)
+        ghost_start = _run_starts(np.concatenate([block_counts, ghost_blocks]), room)[run_count:]
         if len(irregular):
-            last = int(ghost_start[-1]) + LANE_COUNT * (len(_GHOST_ROWS) + 1)
+            last = int(ghost_start[-1]) + LANE_COUNT * (len(GHOST_ROWS) + 1)
             layout = replace(layout, lane_count=last, irregular_cells=irregular, ghost_start=ghost_start)
-    return replace(layout, stride=BANK_LANES if in_banks else layout.lane_count)
-
-
-def _nodes_in_lanes(node_lane: Int64, lane_count: int) -> Int32:
-    nodes = np.full(lane_count, -1, np.int32)
-    nodes[node_lane] = np.arange(len(node_lane))
-    return nodes
-
-
-def _row_keys(places: npt.ArrayLike) -> Int64:
-    """Keys of the rows along i that places (i, j, k) lie in: those of (0, j, k)."""
-    starts = np.array(places)
-    starts[..., 0] = 0
-    return lattice_keys(starts)
-
-
-def cell_numbers(model: LatticeModel) -> Float32:
-    """What the law's kernels read of each cell, shape (11, cell_count), float32.
-
-    The covered stiffness [k/h], then for elements the means of x, y, z, yz, xz, xy and variances along x, y, z of the
-    tissue [edges], for springs zeros; last the corner guard's stiffness [k/h].
-    """
-    numbers = np.zeros((CELL_NUMBERS, model.cell_count), np.float32)
-    numbers[0] = model.cell_force_scale
-    if model.law.is_element:
-        moments = model.cell_moments.astype(np.float64)
-        numbers[1:-1] = np.concatenate([moments[:, :3].T, moments[:, 6:].T, tissue_spread(moments).T])
-    numbers[-1] = model.corner_guard_scale
-    return numbers
-
-
-def share_numbers(model: LatticeModel) -> Float32:
-    """What of each cell's covered stiffness is strained by the mean around each of its corners, and what by itself.
-
-    In k/h, shape (9, cell_count), float32.
-    """
-    shared = model.shared_stiffness
-    own = model.cell_force_scale - shared.sum(axis=1)
-    return np.concatenate([shared.T, own[None]])
-
-
-def inverse_shared(model: LatticeModel) -> Float32:
-    """Inverse of the stiffness that shares strain around each node [h/k], zero where none does, (node_count,)."""
-    shared = np.bincount(model.cell_corners.ravel(), model.shared_stiffness.ravel(), minlength=model.node_count)
-    return np.divide(1.0, shared, out=np.zeros_like(shared), where=shared > 0.0).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class CellLayout:
-    """Where the cells are: each in the lane of its lowest corner, or of that corner's ghost."""
-
-    layout: LaneLayout
-    """Of the nodes."""
-    cell_lane: Int64
-    """Lane of each cell, shape (cell_count,)."""
-    cell_slot: Int64
-    """Number of the cell's window times 8 plus its place there, shape (cell_count,)."""
-    window_rows: Int64
-    """Rows of the windows that hold a cell, shape (count, 9); last those of ghosts."""
-    touches: Int64
-    """Windows of nodes that the cells of each of these windows have corners in, then -1, shape (count, 8 or more)."""
-    ghost_lane: Int64
-    """Lane of the ghost at each corner of the irregular cells, shape (irregular_count, 8)."""
-
-    @property
-    def ghost_window(self) -> int:
-        """First window that holds ghosts."""
-        return len(self.window_rows) - len(self.layout.ghost_start)
-
-    def by_window(self, values: Float32) -> Float32:
-        """Numbers of each cell, shape (any, cell_count), of each window's lanes by themselves; zero without a cell.
-
-        Shape (count, any, 8).
-        """
-        numbers = np.zeros((len(self.window_rows), len(values), LANE_COUNT), np.float32)
-        numbers[self.cell_slot // LANE_COUNT, :, self.cell_slot % LANE_COUNT] = values.T
-        return numbers
-
-    def by_node_window(self, values: Float32) -> Float32:
-        """Eight numbers of each cell, one for each corner, shape (8, cell_count), by the windows of the corners' nodes.
-
-        Zero where there is no cell, or one that is irregular. Shape (window_count of nodes, 8, 8).
-        """
-        cell_at = np.full(self.layout.lane_count, -1)
-        cell_at[self.cell_lane] = np.arange(len(self.cell_lane))
-        cell_at[self.ghost_lane.ravel()] = -1
-        rows = self.layout.window_rows
-        numbers = np.zeros((len(rows), len(CORNER_OFFSETS), LANE_COUNT), np.float32)
-        for corner, (i, j, k) in enumerate(CORNER_OFFSETS.tolist()):
-            # A node is the corner of the cell behind it by that corner's offset.
-            cell = cell_at[rows[:, 4 - j - 3 * k, None] - i + np.arange(LANE_COUNT)]
-            numbers[:, corner] = np.where(cell >= 0, values[corner, cell], np.float32(0.0))
-        return numbers
-
-
-def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
-    """Lay out the cells of a lattice in the lanes of its nodes."""
-    irregular = layout.irregular_cells
-    windows = layout.node_slot[model.cell_corners] // LANE_COUNT
-    is_held = np.zeros(layout.window_count, np.bool_)
-    is_regular = np.ones(model.cell_count, np.bool_)
-    is_regular[irregular] = False
-    is_held[windows[is_regular, 0]] = True
-    held = np.flatnonzero(is_held)
-    window_of_cell = (np.cumsum(is_held) - 1)[windows[:, 0]]
-    place = np.arange(len(irregular))
-    place_of_cell = layout.node_slot[model.cell_corners[:, 0]] % LANE_COUNT
-    place_of_cell[irregular] = 2 * (place % GHOST_CELLS)
-    window_of_cell[irregular] = len(held) + place // GHOST_CELLS
-    cell_lane = layout.node_lane[model.cell_corners[:, 0]]
-    cell_lane[irregular] = layout.ghost_start[place // GHOST_CELLS] + 2 * (place % GHOST_CELLS)
-    offset = CORNER_OFFSETS.astype(np.int64)
-    ghost_lane = cell_lane[irregular, None] + offset[:, 0] + LANE_COUNT * (offset[:, 1] + 2 * offset[:, 2])
-    ghost_rows = np.full((len(layout.ghost_start), len(ROWS)), EMPTY_START)
-    ghost_rows[:, _GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(_GHOST_ROWS))
-
-    count = len(held) + len(ghost_rows)
-    room, counts = np.empty((count, MOST_TOUCHED), np.int64), np.zeros(count, np.int64)
-    touched_windows(windows, window_of_cell, room, counts)
-    touches = room[:, : max(8, int(counts.max(initial=0)))].copy()
-    touches[np.arange(touches.shape[1]) >= counts[:, None]] = -1
-    rows = np.concatenate([layout.window_rows[held], ghost_rows])
-    return CellLayout(
-        layout=layout,
-        cell_lane=cell_lane,
-        cell_slot=LANE_COUNT * window_of_cell + place_of_cell,
-        window_rows=rows,
-        touches=touches,
-        ghost_lane=ghost_lane,
-    )
+            layout = layout if in_banks else replace(layout, stride=last)
+    return layout
 
 
 @kernel
@@ -410,16 +323,3 @@ def _run_starts(block_counts: Int64, capacity: int) -> Int64:
         starts[run] = bank * _BANK_NUMBERS * BANK_LANES + LANE_COUNT * block
         block += block_counts[run] + 1
     return starts
-
-
-@kernel
-def _windows(node_lane: Int64) -> tuple[Int64, Int64]:
-    """First node of each window, and window of each node: a window begins at the first node that none holds yet."""
-    first, window = np.empty_like(node_lane), np.empty_like(node_lane)
-    count, end = 0, -1
-    for node in range(len(node_lane)):
-        if node_lane[node] >= end:
-            first[count], end = node, node_lane[node] + LANE_COUNT
-            count += 1
-        window[node] = count - 1
-    return first[:count].copy(), window

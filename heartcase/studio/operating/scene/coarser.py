@@ -15,7 +15,7 @@ from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.live.newest_worker import NewestWorker
 from heartcase.simulator.live.shapes import structures_after_cuts
 from heartcase.simulator.load import load_case
-from heartcase.simulator.splitting.split_surface import CuttableSurface, split_surface
+from heartcase.simulator.splitting.split_surface import CuttableSurface, SplitSurface, split_surface
 from heartcase.simulator.surface.deform import SurfaceModel
 
 __all__ = ["CoarseLevel", "CoarserWorker", "load_coarser"]
@@ -73,6 +73,7 @@ class CoarserWorker(NewestWorker[LiveFrame, tuple[SurfaceModel, tuple[CoarseLeve
     def __init__(self, levels: tuple[CoarseLevel, ...], heard: Callable[[], None]) -> None:
         self._levels = levels
         self._cuttable: dict[int, CuttableSurface] = {}
+        self._splits: dict[int, SplitSurface] = {}
         super().__init__(
             lambda live: (live.surface, self._follow(live.tissue_cuts)), name="coarser levels", heard=heard
         )
@@ -84,7 +85,9 @@ class CoarserWorker(NewestWorker[LiveFrame, tuple[SurfaceModel, tuple[CoarseLeve
         for one in self._levels:
             if one.level not in self._cuttable:
                 self._cuttable[one.level] = CuttableSurface.of(cuts.uncut, one.surface)
-            split = split_surface(self._cuttable[one.level], cuts.parted, cuts.sheets)
+            before = self._splits.get(one.level)
+            split = split_surface(self._cuttable[one.level], cuts.parted, cuts.sheets, before)
+            self._splits[one.level] = split
             structures = structures_after_cuts(one.structures, split.triangle_origin)
             found.append(CoarseLevel(one.level, split.surface, structures))
         return tuple(found)

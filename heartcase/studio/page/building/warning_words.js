@@ -1,22 +1,37 @@
-/** Warnings in the page's language, from their kind and values; where there are no words for one, as the server says it. */
+/** Warnings in the page's words and language, from their kind and values; where there are none, as the server says it. */
 
 import { language } from "../shared/words.js";
 import { phrases as phrasesDe } from "../words/warning_phrases_de.js";
 import { warnings as de } from "../words/warnings_de.js";
+import { warnings as en } from "../words/warnings_en.js";
 
 /** @typedef {Record<string, string>} Parts values of a warning by their names, as its English sentence has them */
 
-/** Languages beside that of the sentences themselves. @type {Record<string, Record<string, string>>} */
-const SENTENCES = { de };
+/** By language; English ones stand beside those of the server. @type {Record<string, Record<string, string>>} */
+const SENTENCES = { de, en };
+/** Entries of a recipe's file as pages call them. @type {Record<string, Record<string, string>>} */
+const ENTRIES = {
+  de: { edits: "Änderung", ends: "Gefäßende", landmarks: "Landmarke", pins: "Fixpunkt" },
+  en: { edits: "edit", ends: "vessel end", landmarks: "landmark", pins: "pin" },
+};
 /** What values say beside names and numbers, by their names. @type {Record<string, typeof phrasesDe>} */
 const PHRASES = { de: phrasesDe };
 
 /** @param {{text: string, code: string, parts: Parts}} warning */
 export function warningWords({ text, code, parts }) {
   const template = SENTENCES[language.value]?.[code];
-  if (template === undefined) return text;
+  if (template === undefined) return entriesNamed(text);
   const said = filled(template, parts);
-  return capital(parts.about ? `${parts.about}: ${said}` : said);
+  return capital(parts.about ? `${entriesNamed(parts.about)}: ${said}` : said);
+}
+
+/** A text that begins with an entry of a recipe's file, such as `edits[2] "VSD": ...`, with the page's name of it. @param {string} text */
+export function entriesNamed(text) {
+  const named = text.replace(/^(edits|ends|landmarks|pins)\[(\d+)\]/i, (whole, entry, number) => {
+    const name = ENTRIES[language.value]?.[entry.toLowerCase()];
+    return name === undefined ? whole : `${name} ${number}`;
+  });
+  return named === text ? text : named.charAt(0).toUpperCase() + named.slice(1);
 }
 
 /** Whether a warning is said in the page's language. @param {{code: string}} warning */
@@ -38,7 +53,7 @@ export function filled(template, values) {
 
 /** A value as this language writes it: numbers with its marks, its phrases where there are some, and names as they are. @param {string} name @param {string} value @param {boolean} isNumber */
 function localised(name, value, isNumber) {
-  if (isNumber) return value.replace(/[.,]/g, (mark) => (mark === "." ? "," : "."));
+  if (isNumber) return language.value === "en" ? value : value.replace(/[.,]/g, (mark) => (mark === "." ? "," : "."));
   const phrases = PHRASES[language.value]?.[name] ?? [];
   return phrases.reduce((text, [pattern, said]) => text.replace(pattern, said), value);
 }

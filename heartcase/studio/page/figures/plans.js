@@ -38,6 +38,11 @@ export class Plans {
     language.follow(() => this.#fill());
   }
 
+  /** Recordings that are ticked. @returns {readonly string[]} */
+  get chosen() {
+    return this.#chosen;
+  }
+
   /** @param {readonly string[]} names the newest first */
   showRecordings(names) {
     this.#names = names;

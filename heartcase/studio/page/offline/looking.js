@@ -19,8 +19,8 @@ export const SIDES = /** @type {any} */ (
 const WAYS = /** @type {any} */ (
   [0, 1, 2].map((axis) => [1, -1].map((sign) => Object.keys(DIRECTIONS).find((side) => DIRECTIONS[side][axis] === sign)))
 );
-/** As in the slices: left, right, posterior, anterior, superior, inferior. @type {Record<Side, string>} */
-const LETTERS = { left: "L", right: "R", back: "P", front: "A", head: "S", feet: "I" };
+/** As in the studio: left, right, posterior, anterior, head, feet. @type {Record<Side, string>} */
+const LETTERS = { left: "L", right: "R", back: "P", front: "A", head: "H", feet: "F" };
 const LEAST = 0.35;
 const MOVE_MS = 320;
 const TURNS = 12;

@@ -38,6 +38,8 @@ const AT_REST = 0.05;
 const STEPS_MS = 25;
 /** Steps in a picture, however long they take: time goes on. */
 const STEPS_LEAST = 4;
+/** @type {Record<NoWebGpu["reason"], Word>} */
+const WHY_NOT = { missing: "offline_no_webgpu", "too large": "offline_webgpu_too_large", refused: "offline_webgpu_refused" };
 /** @type {readonly (readonly [string, Word])[]} */
 const KEYS = [
   ["O", "operate_help_orbit"], ["G P", "offline_help_tools"], ["[  ]", "operate_help_size"], ["Enter", "operate_help_enter"],
@@ -69,6 +71,8 @@ async function run() {
   let hands = null;
   /** @type {SpringEngine | null} */
   let engine = null;
+  /** Why the case cannot be pulled here. @type {NoWebGpu["reason"] | null} */
+  let whyNot = null;
   /** @type {{told?: object, moments: Package[][], at: number, isRunning: boolean, since: number, until?: number} | null} */
   let played = null;
   let stillPictures = 0;
@@ -452,7 +456,7 @@ async function run() {
   runTabs();
 
   function tellEngine() {
-    find("engine").textContent = engine === null ? say("offline_no_webgpu") : "";
+    find("engine").textContent = whyNot === null ? "" : say(WHY_NOT[whyNot]);
   }
   try {
     const lattice = latticeOf(springs);
@@ -464,6 +468,7 @@ async function run() {
     hands = new LocalHands(engine, new Frame(facts.place), pick, () => picture.heart.nodes?.displacement ?? new Float32Array(0));
   } catch (error) {
     if (!(error instanceof NoWebGpu)) throw error;
+    whyNot = error.reason;
   }
   fillTools();
   for (const id of ["tools", "size-group", "as-at-start"]) find(id).hidden = engine === null;

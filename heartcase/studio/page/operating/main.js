@@ -4,6 +4,7 @@ import { Beside } from "../figures/beside.js";
 import { Device } from "../figures/device.js";
 import { LiveFigures } from "../figures/live_figures.js";
 import { Plans } from "../figures/plans.js";
+import { SavedPage } from "../figures/saved_page.js";
 import { showCompiling } from "../panel/status.js";
 import { runTabs } from "../panel/tiles.js";
 import { element } from "../panel/structures.js";
@@ -76,6 +77,7 @@ function run() {
     },
     replay,
   });
+  const saving = new SavedPage(() => ask({ do: "save_page", names: plans.chosen.slice(0, 6) }), location.pathname.replace("/operate/", "/saved/"));
   const plans = new Plans({
     ask,
     replay,
@@ -297,6 +299,7 @@ function run() {
     else if (message.kind === "tour") tour.hear(/** @type {any} */ (message));
     else if (message.kind === "figures") figures.hear(message);
     else if (message.kind === "plans") plans.hear(message);
+    else if (message.kind === "saved_page") saving.hear(message);
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {

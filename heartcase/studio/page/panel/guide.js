@@ -25,6 +25,8 @@ export class Guide {
   /** Where to look, best first; null when they must be asked for anew. @type {Place[] | null} */
   #places = null;
   #at = -1;
+  /** Places that were said to be right since the page was opened. */
+  #rightCount = 0;
   /** @type {readonly Item[]} */
   #items = [];
 
@@ -90,6 +92,7 @@ export class Guide {
       return;
     }
     this.#places = null;
+    this.#rightCount += 1;
     await this.next();
     if (hadFocus) (right.hidden ? document.getElementById("next-place") : right)?.focus();
   }
@@ -112,8 +115,9 @@ export class Guide {
       place.textContent = say("no_place");
       return;
     }
+    const at = say("place_of", { at: this.#at + 1, count: this.#places.length });
     place.replaceChildren(
-      element("strong", "", say("place_of", { at: this.#at + 1, count: this.#places.length })),
+      element("strong", "", this.#rightCount ? `${at} · ${say("places_right", { count: this.#rightCount })}` : at),
       element("span", "", say("place_says", {
         label: shown.label,
         other: shown.rival,

@@ -13,8 +13,14 @@ const ROW_MAX = 128;
 /** Most that a node moves along an axis in one step [cells]. */
 const WAY_LIMIT = 0.5;
 
-/** The browser gives no WebGPU. */
-export class NoWebGpu extends Error {}
+/** The case cannot be stepped here; `reason` says why. */
+export class NoWebGpu extends Error {
+  /** @param {"missing" | "too large" | "refused"} reason @param {string} message */
+  constructor(reason, message) {
+    super(message);
+    this.reason = reason;
+  }
+}
 
 export class SpringEngine {
   /** Nodes that hands hold. @type {Map<string, {nodes: number[], velocity: Vector}>} */
@@ -82,14 +88,14 @@ export class SpringEngine {
    */
   static async create(lattice) {
     const adapter = await navigator.gpu?.requestAdapter();
-    if (!adapter) throw new NoWebGpu("this browser has no WebGPU");
+    if (!adapter) throw new NoWebGpu("missing", "this browser has no WebGPU");
     const needed = Math.max(144 * lattice.nodeCount, 128 * lattice.cellCount);
-    if (needed > adapter.limits.maxStorageBufferBindingSize) throw new NoWebGpu("the case is too large for this graphics card");
+    if (needed > adapter.limits.maxStorageBufferBindingSize) throw new NoWebGpu("too large", "the case is too large for this graphics card");
     const device = await adapter.requestDevice({ requiredLimits: { maxStorageBufferBindingSize: adapter.limits.maxStorageBufferBindingSize } });
     device.pushErrorScope("validation");
     const engine = new SpringEngine(lattice, device);
     const error = await device.popErrorScope();
-    if (error) throw new NoWebGpu(error.message);
+    if (error) throw new NoWebGpu("refused", error.message);
     return engine;
   }
 

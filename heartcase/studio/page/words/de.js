@@ -84,6 +84,7 @@ export const words = {
   undecided: "unentschieden",
   next_place: "Nächste Stelle ansehen",
   place_of: "Stelle {at} von {count}",
+  places_right: "{count} als richtig bestätigt",
   place_says: "Ist dies {label} oder {other}? Jetzt ist es {label}: Ist das falsch, hier mit einem Pinsel unter {mm} mm malen; etwa {ml} ml würden sich ändern.",
   no_place: "Keine Stelle ist so unsicher, dass sich ein Strich lohnt.",
   checklist: "Noch nötig",

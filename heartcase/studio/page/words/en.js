@@ -83,6 +83,7 @@ export const words = {
   undecided: "undecided",
   next_place: "Next place to look at",
   place_of: "Place {at} of {count}",
+  places_right: "{count} said to be right",
   place_says: "Is this {label}, or {other}? Now it is {label}: if that is wrong, paint here with a brush below {mm} mm; about {ml} ml would change.",
   no_place: "No place is unsure enough to be worth a stroke.",
   checklist: "Still needed",

@@ -6,21 +6,26 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from heartcase.cli.shared.recorded_film import check_frame_count, frame_steps
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recording.reader import Recording, open_recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
-from heartcase.simulator.session.replay import load_session, refuse_deviation
+from heartcase.simulator.session.replay import (
+    FRAMES_MAX,
+    check_frame_count,
+    frame_steps,
+    load_session,
+    refuse_deviation,
+)
 from heartcase.simulator.session.stored import lattice_sha256
 
 if TYPE_CHECKING:
     from heartcase.studio.offline.site import SiteResult
     from heartcase.studio.offline.web_page import Recorded
 
-__all__ = ["page_of", "site_of"]
+__all__ = ["fitting_page_of", "page_of", "site_of"]
 
 
 def page_of(
@@ -51,6 +56,21 @@ def page_of(
     normal_map = load_normal_map(case, loaded.surface, level)
     made = web_page(loaded, shown, played, tours=toured, normal_map=normal_map, frames_per_second=frames_per_second)
     return made, [str(problem) for problem in (*problems, *(each for one in toured for each in one.problems))]
+
+
+def fitting_page_of(case: Path, recordings: Sequence[Path]) -> tuple[bytes, list[str]]:
+    """The same at the full surface, with as many pictures a second as the longest recording has room for.
+
+    Raises
+    ------
+    HeartcaseError
+        As of :func:`page_of`.
+    """
+    from heartcase.studio.offline.web_page import FRAMES_PER_SECOND
+
+    longest = max((open_recording(one).seconds for one in recordings), default=0.0)
+    rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / max(longest, 1.0))
+    return page_of(case, recordings, level=0, frames_per_second=rate)
 
 
 def site_of(

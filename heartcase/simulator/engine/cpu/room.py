@@ -1,0 +1,34 @@
+"""Zeros for the CPU engine's arrays."""
+
+from __future__ import annotations
+
+import mmap
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from heartcase.schemas.arrays import Float32
+
+__all__ = ["aligned", "untouched"]
+
+
+def aligned(shape: tuple[int, ...]) -> Float32:
+    """Zeros that start on a cache line: a vector load across two lines costs double."""
+    line, size = 16, prod(shape)
+    room = np.zeros(size + line, np.float32)
+    shift = -(room.ctypes.data // room.itemsize) % line
+    return room[shift : shift + size].reshape(shape)
+
+
+def untouched(shape: tuple[int, ...], kind: Any = np.float32) -> Any:
+    """Zeros, on a cache line too, that cost nothing before they are written: most of them never are.
+
+    The allocator clears memory that was used before, all of it.
+    """
+    size = prod(shape)
+    if not size:
+        return np.zeros(shape, kind)
+    options = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+    room = mmap.mmap(-1, size * np.dtype(kind).itemsize, **options)
+    return np.frombuffer(room, kind).reshape(shape)

@@ -1,0 +1,189 @@
+"""Where vertices hang on the three nodes that they are tied to, and the springs of some nodes: kernels."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from heartcase.compiling.kernel import kernel
+
+__all__ = ["gather_near", "hang_on", "weigh_closest", "weigh_one", "write_offsets"]
+
+_PLAIN: dict[str, Any] = {"error_model": "numpy"}
+_ORDER = (0, 2, 1)
+"""In which sums over the axes are taken: as NumPy's sums of products are."""
+
+
+@kernel(cached=False, **_PLAIN)
+def _clip(value):
+    return min(max(value, 0.0), 1.0)
+
+
+@kernel(cached=False, **_PLAIN)
+def weigh_one(point, p, q, r, weights):
+    """Write the barycentric weights of the place in a triangle that is closest to a point."""
+    uu, uv, vv, wu, wv = 0.0, 0.0, 0.0, 0.0, 0.0
+    for axis in _ORDER:
+        u, v, w = q[axis] - p[axis], r[axis] - p[axis], point[axis] - p[axis]
+        uu, uv, vv, wu, wv = uu + u * u, uv + u * v, vv + v * v, wu + w * u, wv + w * v
+    determinant = uu * vv - uv * uv
+    one, two = (vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant
+    if not (one >= 0.0 and two >= 0.0 and one + two <= 1.0):
+        # On the three edges: the closest of all.
+        first, second = _clip(wu / uu), _clip(wv / vv)
+        along = _clip((wv - wu + uu - uv) / (uu + vv - 2.0 * uv))
+        nearest = np.inf
+        for n in range(3):
+            a = first if n == 0 else 0.0 if n == 1 else 1.0 - along
+            b = 0.0 if n == 0 else second if n == 1 else along
+            away = 0.0
+            for axis in _ORDER:
+                w = point[axis] - p[axis] - a * (q[axis] - p[axis]) - b * (r[axis] - p[axis])
+                away += w * w
+            if away < nearest:
+                one, two, nearest = a, b, away
+    weights[0], weights[1], weights[2] = 1.0 - (one + two), one, two
+
+
+@kernel(**_PLAIN)
+def weigh_closest(points, corners, weights):
+    """Write barycentric weights of the places in triangles that are closest to points, shape (count, 3).
+
+    Parameters
+    ----------
+    points
+        Shape (count, 3).
+    corners
+        Of the triangles, shape (count, 3, 3).
+    weights
+        Written.
+    """
+    for n in range(len(points)):
+        weigh_one(points[n], corners[n, 0], corners[n, 1], corners[n, 2], weights[n])
+
+
+@kernel(**_PLAIN)
+def hang_on(points, nodes, node_index, anew_count, weights, edges, basis):
+    """Write weights, edges and basis of some vertices over their nodes; returns the least area of their triangles.
+
+    Parameters
+    ----------
+    points
+        Rest places [cells], shape (count, 3).
+    nodes, node_index
+        Nodes of each, shape (count, 3), and the index (i, j, k) of each node.
+    anew_count
+        How many of them, the first, get weights; those of the others stay.
+    weights, edges
+        Of each, float32, shapes (count, 3) and (count, 2, 3); written.
+    basis
+        Rows T, N, B of each (eq. 9.6), shape (count, 3, 3); written.
+    """
+    corners, own = np.empty((3, 3)), np.empty(3)
+    least = np.inf
+    for n in range(len(points)):
+        for corner in range(3):
+            for axis in range(3):
+                corners[corner, axis] = node_index[nodes[n, corner], axis]
+        if n < anew_count:
+            weigh_one(points[n], corners[0], corners[1], corners[2], own)
+            for corner in range(3):
+                weights[n, corner] = own[corner]
+        for axis in range(3):
+            edges[n, 0, axis] = corners[1, axis] - corners[0, axis]
+            edges[n, 1, axis] = corners[2, axis] - corners[0, axis]
+        ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
+        bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+        length = sqrt(ax * ax + ay * ay + az * az)
+        if length > 0.0:
+            ax, ay, az = ax / length, ay / length, az / length
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        length = sqrt(nx * nx + ny * ny + nz * nz)
+        least = min(least, length)
+        if length > 0.0:
+            nx, ny, nz = nx / length, ny / length, nz / length
+        basis[n, 0, 0], basis[n, 0, 1], basis[n, 0, 2] = ax, ay, az
+        basis[n, 1, 0], basis[n, 1, 1], basis[n, 1, 2] = nx, ny, nz
+        basis[n, 2, 0], basis[n, 2, 1], basis[n, 2, 2] = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+    return least
+
+
+@kernel(**_PLAIN)
+def write_offsets(points, nodes, node_index, weights, basis, facing, offset, normal):
+    """Write offset and normal of some vertices along their basis, float32, shape (count, 3) each.
+
+    Parameters
+    ----------
+    points, nodes, node_index, weights, basis
+        As of :func:`hang_on`.
+    facing
+        Normal of each, shape (count, 3).
+    offset, normal
+        Written.
+    """
+    away = np.empty(3)
+    for n in range(len(points)):
+        for axis in range(3):
+            place = 0.0
+            for corner in range(3):
+                place += np.float64(weights[n, corner]) * node_index[nodes[n, corner], axis]
+            away[axis] = points[n, axis] - place
+        for row in range(3):
+            b = basis[n, row]
+            offset[n, row] = 0.0 + b[0] * away[0] + b[2] * away[2] + b[1] * away[1]
+            normal[n, row] = 0.0 + b[0] * facing[n, 0] + b[2] * facing[n, 2] + b[1] * facing[n, 1]
+
+
+@kernel
+def gather_near(spring_nodes, spring_direction, directions, node_count, nodes, first, neighbours, offset):
+    """List the springs of some nodes, node by node, by neighbour; returns how many there are, and room is needed for.
+
+    Parameters
+    ----------
+    spring_nodes, spring_direction, directions
+        Both nodes and direction of each spring, and the way of each direction.
+    node_count, nodes
+        Number of nodes, and those that are asked for, ascending.
+    first
+        Where each node's neighbours start, int32, shape (count + 1,); written.
+    neighbours, offset
+        Nodes at the other end, and the way from these to the node at rest; written as far as there is room.
+    """
+    row = np.full(node_count, -1, np.int32)
+    for n in range(len(nodes)):
+        row[nodes[n]] = n
+    counts = np.zeros(len(nodes) + 1, np.int64)
+    for spring in range(len(spring_nodes)):
+        one, other = row[spring_nodes[spring, 0]], row[spring_nodes[spring, 1]]
+        if one >= 0:
+            counts[one + 1] += 1
+        if other >= 0:
+            counts[other + 1] += 1
+    for n in range(len(nodes)):
+        counts[n + 1] += counts[n]
+    first[:] = counts
+    total = counts[len(nodes)]
+    if total > len(neighbours):
+        return total
+    ends, ways = np.empty(total, np.int32), np.empty(total, np.int32)
+    filled = counts.copy()
+    for spring in range(len(spring_nodes)):
+        for end in range(2):
+            n = row[spring_nodes[spring, end]]
+            if n < 0:
+                continue
+            node, way = spring_nodes[spring, 1 - end], 2 * spring + end
+            at = filled[n]
+            while at > counts[n] and ends[at - 1] > node:
+                ends[at], ways[at] = ends[at - 1], ways[at - 1]
+                at -= 1
+            ends[at], ways[at] = node, way
+            filled[n] += 1
+    for at in range(total):
+        neighbours[at] = ends[at]
+        for axis in range(3):
+            along = directions[spring_direction[ways[at] // 2], axis]
+            offset[at, axis] = along if ways[at] % 2 else -along
+    return total

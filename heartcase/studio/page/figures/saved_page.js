@@ -1,0 +1,39 @@
+/** The case saved as one HTML file, with the recordings that are ticked: what is known of it. */
+
+import { problemList } from "../panel/status.js";
+import { figure, language, say } from "../shared/words.js";
+
+/** @typedef {import("../shared/connection.js").Message} Message */
+
+/** @param {string} id */
+const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
+export class SavedPage {
+  /** @type {Message | null} */
+  #message = null;
+
+  /** @param {() => void} save @param {string} address of what was saved */
+  constructor(save, address) {
+    find("save-page").addEventListener("click", save);
+    /** @type {HTMLAnchorElement} */ (find("saved-page")).href = address;
+    language.follow(() => this.#fill());
+  }
+
+  /** @param {Message} message */
+  hear(message) {
+    this.#message = message;
+    this.#fill();
+  }
+
+  #fill() {
+    const { state, name, byte_count: byteCount, problems } = /** @type {Record<string, any>} */ (this.#message ?? {});
+    /** @type {HTMLButtonElement} */ (find("save-page")).disabled = state === "working";
+    const link = find("saved-page");
+    link.hidden = state !== "saved";
+    link.textContent = state === "saved" ? say("save_page_take", { name }) : "";
+    const said = state === "working" ? say("save_page_working")
+      : state === "saved" ? say("save_page_saved", { name, mb: figure(byteCount / 1e6, 1) })
+      : state === "failed" ? say("save_page_failed") : "";
+    find("save-page-state").replaceChildren(said, ...(problems?.length ? [problemList(problems)] : []));
+  }
+}

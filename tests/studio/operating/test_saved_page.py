@@ -1,0 +1,61 @@
+"""A case saved from its page as one HTML file, with the recordings that are chosen."""
+
+from __future__ import annotations
+
+import json
+
+from heartcase.studio.offline.exported import fitting_page_of, page_of
+from heartcase.studio.operating.saved_page import SavedPage
+from tests.studio.operating.performing import operator, theatre
+from tests.studio.operating.test_plans import recorded  # noqa: F401
+
+
+def told(page):
+    """What was told of the saved page last, when it is no longer being saved."""
+    while not (found := [one for one in page.told if one["kind"] == "saved_page"]) or found[-1]["state"] == "working":
+        page.next()
+    return found[-1]
+
+
+def test_a_case_is_saved_as_the_command_exports_it(recorded):  # noqa: F811
+    path, _ = recorded
+    (path.parent / "hollow.html").write_text("mine")
+    with theatre(path, path.parent) as (browser, opened), operator(browser, opened) as page:
+        assert browser.get(f"/saved/{opened.key}", follow_redirects=False).status_code == 303
+        assert page.ask("save_page", names=["none.recording"])["kind"] == "refused"
+        page.done("save_page", names=["wide.recording"])
+        one = told(page)
+        assert (one["state"], one["problems"]) == ("saved", [])
+        # a file that was there stays
+        assert one["name"] == "hollow-2.html"
+        assert (path.parent / "hollow.html").read_text() == "mine"
+        content = (path.parent / "hollow-2.html").read_bytes()
+        assert one["byte_count"] == len(content)
+        wanted, _ = page_of(path, [path.parent / "wide.recording"], level=0, frames_per_second=10.0)
+        assert content == wanted
+        answer = browser.get(f"/saved/{opened.key}")
+        assert answer.content == content
+        assert answer.headers["content-disposition"] == 'attachment; filename="hollow-2.html"'
+        # who comes later is told as well
+        with operator(browser, opened) as other:
+            assert other.hear("saved_page") == one
+        (path.parent / "broken.recording").mkdir(exist_ok=True)
+        page.told.clear()
+        page.done("save_page", names=["broken.recording"])
+        lost = told(page)
+        assert lost["state"] == "failed"
+        assert lost["problems"]
+        assert str(path.parent) not in json.dumps(lost)
+        assert not (path.parent / "hollow-3.html").exists()
+
+
+def test_what_is_left_on_the_way_is_neither_told_nor_there(recorded):  # noqa: F811
+    path, _ = recorded
+    saved = SavedPage(path, path.parent, fitting_page_of, lambda: None)
+    before = set(path.parent.iterdir())
+    saved.save([])
+    assert saved.facts == {"state": "working"}
+    saved.close()
+    assert saved.facts == {}
+    assert saved.file is None
+    assert set(path.parent.iterdir()) == before
