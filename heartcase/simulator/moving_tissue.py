@@ -331,6 +331,8 @@ class MovingTissue:
 
     def _check_explicit(self, model: LatticeModel, cuts: Cuts) -> None:
         """SimulationError where explicit springs are too stiff for what is left of the tissue that they hang on."""
+        if not model.explicit.count:
+            return
         rate = model.explicit.rate_bound(model.inverse_mass)
         if rate and rate > self._explicit_rate_limit(cuts.uncut):
             raise SimulationError(

@@ -19,6 +19,7 @@ from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
 from heartcase.simulator.instruments.held_tissue import on_side_at
+from heartcase.simulator.instruments.one_sided import OneSidedGrab
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.instruments.probe import Probe, make_probe
 from heartcase.simulator.instruments.scissors import Scissors
@@ -393,7 +394,11 @@ class Simulation(PatchedTissue, OperatedTissue):
     def _carry(self, step: Step) -> None:
         for grab in self.grabs:
             grab.carry(*step.held(grab.nodes))
-            grab.keep_side(self.model, self._sheet_triangles())
+        one_sided = [grab for grab in self.grabs if isinstance(grab, OneSidedGrab)]
+        if one_sided:
+            sheets = self._sheet_triangles()
+            for grab in one_sided:
+                grab.keep_side(self.model, sheets)
         self._hold()
         self._rethread()
 

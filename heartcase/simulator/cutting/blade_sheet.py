@@ -20,7 +20,7 @@ from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.base import Vector3
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.cutting.bits.touched import begun_among, places_of_links
+from heartcase.simulator.cutting.bits.touched import begun_among, places_of_links, samples_of_places
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES, crossing_keys
 from heartcase.simulator.cutting.sheet_kernels import refine, step_lengths, strips_beyond, triangles_of
 from heartcase.simulator.lattice.model import LatticeModel
@@ -42,6 +42,7 @@ _FAR = 256.0
 """Where a step is longer [cells], it is divided as if it were so long."""
 _LONGEST = 128
 """Extent of a triangle along any axis [cells], so that products of three differences fit into 64 bits."""
+_ANYWHERE: tuple[Int64, Int64] = (np.full(3, -(1 << 60)), np.full(3, 1 << 60))
 _NOWHERE = (np.nan, np.nan, np.nan)
 
 
@@ -78,8 +79,11 @@ class Sheet:
     def links_beyond(self) -> Links:
         """Links that its continuation crosses in the cells that the sheet itself comes to, ascending."""
         touched = places_of_links(*self.links)
-        x, y, z = (begun_among(touched, keys) for keys in _crossed(self.beyond))
-        return x, y, z
+        box = samples_of_places(touched)
+        found = [begun_among(touched, crossing_keys(self.beyond, axis, *box)) for axis in range(3)]
+        for keys in found:
+            keys.sort()
+        return found[0], found[1], found[2]
 
     @classmethod
     def swept(cls, poses: npt.ArrayLike) -> Sheet:
@@ -133,7 +137,7 @@ def crossed_links(triangles: Int64, axis: int) -> Int64:
         The key (:func:`heartcase.schemas.bundle.lattice.lattice_keys`) of each link's lower sample. Sample (i, j, k)
         lies (i + 1/2) / SAMPLES cells along x, and so on. int64, shape (count,).
     """
-    links: Int64 = crossing_keys(triangles, axis)
+    links: Int64 = crossing_keys(triangles, axis, *_ANYWHERE)
     links.sort()
     return links
 

@@ -67,22 +67,14 @@ def _meets(triangle, b, c, facing, at_b, at_c):
 
 
 @kernel(cached=False)
-def _link(triangle, axis, at_b, at_c):
-    """Number along the axis of the last sample of a line before a triangle that the line goes through."""
-    b, c = (axis + 1) % 3, (axis + 2) % 3
-    p = triangle[0]
-    n_a, n_b, n_c = _normal(triangle, axis), _normal(triangle, b), _normal(triangle, c)
+def _plane(triangle, axis):
+    """Normal of a triangle, turned along an axis and the two after it, and whether a sample on it lies behind it."""
+    n_a, n_b, n_c = _normal(triangle, axis), _normal(triangle, (axis + 1) % 3), _normal(triangle, (axis + 2) % 3)
     if n_a < 0:
         n_a, n_b, n_c = -n_a, -n_b, -n_c
-    start, rest = (p[axis] - _FIRST) // _PITCH, (p[axis] - _FIRST) % _PITCH
-    way = rest * n_a - n_b * (at_b - p[b]) - n_c * (at_c - p[c])
-    number = start + way // (_PITCH * n_a)
-    if way % (_PITCH * n_a) == 0:
-        normal = (n_a, n_b, n_c)
-        n_y, n_z, n_x = normal[(1 - axis) % 3], normal[(2 - axis) % 3], normal[(3 - axis) % 3]
-        if _sign(n_y, n_z, n_x) > 0:
-            number -= 1
-    return number
+    normal = (n_a, n_b, n_c)
+    n_y, n_z, n_x = normal[(1 - axis) % 3], normal[(2 - axis) % 3], normal[(3 - axis) % 3]
+    return n_a, n_b, n_c, _sign(n_y, n_z, n_x) > 0
 
 
 @kernel(cached=False)
@@ -104,7 +96,7 @@ def _reach(triangle, b, c, at_b):
 
 
 @kernel
-def crossing_keys(triangles, axis):
+def crossing_keys(triangles, axis, low, high):
     """Links between samples along an axis that triangles cross, as often as they do, in no order.
 
     Parameters
@@ -113,6 +105,8 @@ def crossing_keys(triangles, axis):
         Corners, shape (count, 3, 3).
     axis
         0, 1 or 2.
+    low, high
+        Lines of samples that are asked for lie from one index (i, j, k) to the other, shape (3,).
 
     Returns
     -------
@@ -126,16 +120,28 @@ def crossing_keys(triangles, axis):
         facing = _sign(_normal(triangle, axis), 0, 0)
         if facing == 0:
             continue
-        for line_b in range(_first_line(triangle[:, b].min()), _last_line(triangle[:, b].max()) + 1):
+        n_a, n_b, n_c, is_behind = _plane(triangle, axis)
+        p_a, p_b, p_c = triangle[0, axis], triangle[0, b], triangle[0, c]
+        start, rest = (p_a - _FIRST) // _PITCH, (p_a - _FIRST) % _PITCH
+        first, last = _first_line(triangle[:, b].min()), _last_line(triangle[:, b].max())
+        for line_b in range(max(first, low[b]), min(last, high[b]) + 1):
             at_b = _FIRST + _PITCH * line_b
-            low, high = _reach(triangle, b, c, at_b)
-            for line_c in range(_first_line(low), _last_line(high) + 1):
-                at_c = _FIRST + _PITCH * line_c
-                if not _meets(triangle, b, c, facing, at_b, at_c):
-                    continue
-                if count == len(keys):
-                    keys = np.append(keys, np.empty(count, np.int64))
-                link = (_link(triangle, axis, at_b, at_c) + _OFFSET) << 21 * axis
+            least, most = _reach(triangle, b, c, at_b)
+            line, last_line = max(_first_line(least), low[c]), min(_last_line(most), high[c])
+            # A triangle is convex: what it meets of the lines of a row lies between the first and the last of them.
+            while line <= last_line and not _meets(triangle, b, c, facing, at_b, _FIRST + _PITCH * line):
+                line += 1
+            while line <= last_line and not _meets(triangle, b, c, facing, at_b, _FIRST + _PITCH * last_line):
+                last_line -= 1
+            while count + last_line + 1 - line > len(keys):
+                keys = np.append(keys, np.empty(len(keys), np.int64))
+            for line_c in range(line, last_line + 1):
+                # The last sample of a line before the triangle that the line goes through.
+                way = rest * n_a - n_b * (at_b - p_b) - n_c * (_FIRST + _PITCH * line_c - p_c)
+                steps = way // (_PITCH * n_a)
+                if is_behind and way == steps * (_PITCH * n_a):
+                    steps -= 1
+                link = (start + steps + _OFFSET) << 21 * axis
                 link |= (line_b + _OFFSET) << 21 * b | (line_c + _OFFSET) << 21 * c
                 keys[count] = link
                 count += 1

@@ -8,6 +8,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.cutting.bits.inheriting import held_nodes
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.descent import Descent, descent_of, nodes_now
 from heartcase.simulator.cutting.further_parting import part_further
@@ -47,6 +48,8 @@ class Step:
 
     def with_loose(self, loose_count: int) -> Step:
         """The same of lattices that both have so many loose nodes more."""
+        if not loose_count:
+            return self
         loose = np.arange(loose_count)
         before = self.descent.node_before
         now = np.append(self.node_now, len(before) + loose)
@@ -55,11 +58,8 @@ class Step:
 
     def held(self, nodes: Int64) -> tuple[Int64, Int64]:
         """Nodes that come from some nodes before, ascending, and the place of that node among those given."""
-        number = np.full(len(self.node_now), -1)
-        number[nodes] = np.arange(len(nodes))
-        place = number[self.descent.node_before]
-        held = np.flatnonzero(place >= 0)
-        return held, place[held]
+        held, place = held_nodes(self.descent.node_before, nodes, len(self.node_now))
+        return held, place
 
 
 @dataclass(frozen=True)

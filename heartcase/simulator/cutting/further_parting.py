@@ -105,6 +105,9 @@ def part_further(
         weights,
         (_as_one(springs[0]), *springs[1:]),
     )
+    shares = np.zeros((len(coverage), 8), np.float32)
+    if uncut.law.has_shared_strain:
+        shares = with_pieces(uncut.cell_shares)
     model = replace(
         uncut,
         cells=with_pieces(uncut.cells),
@@ -113,7 +116,7 @@ def part_further(
         cell_stiffness=stiffness,
         cell_density=density,
         cell_moments=moments,
-        cell_shares=with_pieces(uncut.cell_shares),
+        cell_shares=shares,
         cell_is_whole=np.ones(len(cell_origin), np.bool_),
         node_index=np.concatenate([uncut.node_index, uncut.node_index[origins]]),
         node_mass=mass,

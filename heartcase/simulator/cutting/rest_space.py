@@ -16,6 +16,7 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.crossings import SAMPLES
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.rest_space_kernels import Tissue, draw_in, find_near, follow_back
+from heartcase.simulator.cutting.sheet_kernels import divided, step_lengths, steps_of
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = ["PLACES_MAX", "blade_at_rest", "places_at_rest", "refined"]
@@ -43,29 +44,16 @@ def refined(poses: Float64, name: str = "blade") -> Float64:
         It would be too many.
     """
     # Refining one way does not make the other's steps any longer.
-    ways = [_counts(poses, axis) for axis in (0, 1)]
-    size = [int(counts.sum()) + 1 for counts in ways]
+    steps, more = steps_of(*step_lengths(poses), _SPACING)
+    size = int(steps.sum()) + 1, int(more.sum()) + 1
     if max(size) > PLACES_MAX[0] or size[0] * size[1] > PLACES_MAX[1]:
         raise SimulationError(
             f"the blade reaches too far: at half a cell apart it has {size[0]:,} x {size[1]:,} places; give it near "
             "the tissue alone",
             place=name,
         )
-    for axis, counts in enumerate(ways):
-        rows = np.moveaxis(poses, axis, 0)
-        whole = np.concatenate([[0], np.cumsum(counts)])
-        at = np.interp(np.arange(whole[-1] + 1), whole, np.arange(len(rows)))
-        before = np.minimum(at.astype(np.int64), len(rows) - 2)
-        part = (at - before)[:, None, None]
-        poses = np.moveaxis(rows[before] + part * (rows[before + 1] - rows[before]), 0, axis)
-    return poses
-
-
-def _counts(poses: Float64, axis: int) -> Int64:
-    """Steps that each step along an axis is divided into."""
-    longest = np.linalg.norm(np.diff(poses, axis=axis), axis=-1).max(axis=1 - axis)
-    counts: Int64 = np.maximum(np.ceil(longest / _SPACING), 1).astype(np.int64)
-    return counts
+    places: Float64 = divided(poses, steps, more)
+    return places
 
 
 def places_at_rest(

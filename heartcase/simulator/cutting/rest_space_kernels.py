@@ -53,7 +53,7 @@ class Near(NamedTuple):
     cells: Int64
     """Ascending, shape (count,)."""
     middles: Float64
-    """Where their middles are now [cells], shape (count, 3)."""
+    """Where their middles are now [cells], along x, y and z, shape (3, count)."""
     reach: float
     """All are there that are no further than this from one of the places [cells]."""
 
@@ -166,41 +166,48 @@ def find_near(points, tissue, reach):
             low[axis] = min(low[axis], points[point, axis] - reach)
             high[axis] = max(high[axis], points[point, axis] + reach)
     _most_moved(tissue.displacement, moved)
-    cells, middles, count = np.empty(1024, np.int64), np.empty((1024, 3)), 0
+    first, last = low - moved[1] - 0.501, high - moved[0] - 0.499
+    cells, middles, count = np.empty(1024, np.int64), np.empty((3, 1024)), 0
+    middle = np.empty(3)
     for cell in range(len(tissue.cells)):
         # A cell moves no further than the nodes do, but for rounding.
-        inside = True
-        for axis in range(3):
-            middle = tissue.cells[cell, axis] + 0.5
-            inside &= middle + moved[1, axis] >= low[axis] - 1e-3
-            inside &= middle + moved[0, axis] <= high[axis] + 1e-3
-        if not inside:
+        if not first[2] <= tissue.cells[cell, 2] <= last[2]:
+            continue
+        if not (first[1] <= tissue.cells[cell, 1] <= last[1] and first[0] <= tissue.cells[cell, 0] <= last[0]):
             continue
         if count == len(cells):
-            cells, middles = np.append(cells, cells), np.concatenate((middles, middles))
-        _middle(tissue, cell, middles[count])
+            cells, middles = np.append(cells, cells), np.concatenate((middles, middles), axis=1)
+        inside = True
+        _middle(tissue, cell, middle)
         for axis in range(3):
-            inside &= low[axis] <= middles[count, axis] <= high[axis]
+            inside &= low[axis] <= middle[axis] <= high[axis]
+            middles[axis, count] = middle[axis]
         if inside:
             cells[count] = cell
             count += 1
-    return Near(cells[:count].copy(), middles[:count].copy(), reach)
+    return Near(cells[:count].copy(), middles[:, :count].copy(), reach)
 
 
 @kernel(cached=False)
-def _find_nearest(point, middles, nearest, away):
+def _find_nearest(point, middles, squares, nearest, away):
     """Write which of some middles are nearest to a point, and the squares of how far they are, else infinity."""
     away[:] = np.inf
     nearest[:] = -1
-    for number in range(len(middles)):
-        x, y, z = point[0] - middles[number, 0], point[1] - middles[number, 1], point[2] - middles[number, 2]
-        square = x * x + y * y + z * z
-        if square < away[_CANDIDATES - 1]:
+    px, py, pz = point[0], point[1], point[2]
+    along_x, along_y, along_z = middles[0], middles[1], middles[2]
+    for number in range(len(along_x)):
+        x, y, z = px - along_x[number], py - along_y[number], pz - along_z[number]
+        squares[number] = x * x + y * y + z * z
+    furthest = np.inf
+    for number in range(len(along_x)):
+        square = squares[number]
+        if square < furthest:
             place = _CANDIDATES - 1
             while place > 0 and away[place - 1] > square:
                 away[place], nearest[place] = away[place - 1], nearest[place - 1]
                 place -= 1
             away[place], nearest[place] = square, number
+            furthest = away[_CANDIDATES - 1]
 
 
 @kernel(cached=False)
@@ -238,7 +245,7 @@ def _place_back(point, tissue, cells, middles, room, result):
             weight = 1.0 / (away[candidate] + 1e-6)
             total += weight
             for axis in range(3):
-                best[axis] += weight * (middles[number, axis] - (tissue.cells[cells[number], axis] + 0.5))
+                best[axis] += weight * (middles[axis, number] - (tissue.cells[cells[number], axis] + 0.5))
     for axis in range(3):
         result[axis] = point[axis] - best[axis] / total
     return least == np.inf
@@ -264,16 +271,18 @@ def follow_back(points, tissue, near, wider, result, is_open):
     room = _Room(
         np.empty(_CANDIDATES, np.int64), np.empty(_CANDIDATES), np.empty(3), np.empty(3), np.empty((3, SAMPLES))
     )
+    squares = np.empty(max(len(near.cells), len(wider.cells)))
     for point in range(len(points)):
         found = near
         while True:
-            _find_nearest(points[point], found.middles, room.nearest, room.away)
+            _find_nearest(points[point], found.middles, squares, room.nearest, room.away)
             # A cell beyond the box is further away than it reaches, whatever was rounded.
             is_enough = room.away[_CANDIDATES - 1] < 0.999 * found.reach * found.reach
             if is_enough or len(found.cells) == len(tissue.cells):
                 break
             if found.reach >= wider.reach:
                 wider = find_near(points, tissue, 2.0 * found.reach + 1.0)
+                squares = np.empty(max(len(near.cells), len(wider.cells)))
             found = wider
         is_open[point] = _place_back(points[point], tissue, found.cells, found.middles, room, result[point])
     return wider

@@ -6,7 +6,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["refine", "step_lengths", "strips_beyond", "triangles_of"]
+__all__ = ["divided", "refine", "step_lengths", "steps_of", "strips_beyond", "triangles_of"]
 
 
 @kernel
@@ -32,6 +32,47 @@ def step_lengths(points):
                 x, y, z = there[0] - here[0], there[1] - here[1], there[2] - here[2]
                 across[pose, point] = np.sqrt(x * x + y * y + z * z)
     return along, across
+
+
+@kernel
+def steps_of(along, across, finest):
+    """Into how many steps each step from pose to pose, and from point to point, is divided (:func:`step_lengths`)."""
+    return _steps(along, False, finest, np.inf), _steps(across, True, finest, np.inf)
+
+
+@kernel
+def divided(points, steps, more):
+    """A blade whose steps from pose to pose, and from point to point, are divided into so many, (any, any, 3)."""
+    poses, count = points.shape[0], points.shape[1]
+    rows = np.empty((steps.sum() + 1, count, 3))
+    row = 0
+    for pose in range(poses - 1):
+        for step in range(steps[pose] + (1 if pose == poses - 2 else 0)):
+            part = _part(pose, row, row - step, steps[pose])
+            for point in range(count):
+                for axis in range(3):
+                    start = points[pose, point, axis]
+                    rows[row, point, axis] = start + part * (points[pose + 1, point, axis] - start)
+            row += 1
+    result = np.empty((len(rows), more.sum() + 1, 3))
+    column = 0
+    for point in range(count - 1):
+        for step in range(more[point] + (1 if point == count - 2 else 0)):
+            part = _part(point, column, column - step, more[point])
+            for row in range(len(rows)):
+                for axis in range(3):
+                    start = rows[row, point, axis]
+                    result[row, column, axis] = start + part * (rows[row, point + 1, axis] - start)
+            column += 1
+    return result
+
+
+@kernel(cached=False)
+def _part(number, at, start, steps):
+    """Part of the way from a number to the next, of a place among steps, as ``numpy.interp`` has it."""
+    if at - start == steps:
+        return 1.0
+    return (1.0 / steps * np.float64(at - start) + number) - number
 
 
 @kernel(cached=False)

@@ -94,17 +94,6 @@ class Grab:
         self.nodes = nodes
         self.closed_at, self.arms = self.closed_at[place], self.arms[place]
 
-    def keep_side(self, model: LatticeModel, sheets: Float64) -> None:
-        """Let go of what a further cut put onto the other side of it; a hand holds both sides.
-
-        Parameters
-        ----------
-        model
-            The lattice by now.
-        sheets
-            Triangles of all that was cut, at rest [cells, frame of the nodes], shape (triangle_count, 3, 3).
-        """
-
     def arms_now(self) -> Float64:
         """Vectors from the hand's centre to where its nodes are now [cells, grid axes], shape (count, 3)."""
         return self.arms @ self.pose.turn.T

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Float64, Int32, Int64
+from heartcase.compiling.kernel import kernel
+from heartcase.schemas.arrays import Float, Float32, Float64, Int32, Int64
 
 __all__ = ["PreciseState", "State"]
 
@@ -33,7 +34,7 @@ class State:
 
     def of_nodes(self, nodes: Int32) -> State:
         """The state of a lattice whose nodes lie, and go, where some nodes of this one do, shape (count,)."""
-        return State(self.displacement[nodes], self.velocity[nodes], self.step_count)
+        return State(_rows_of(self.displacement, nodes), _rows_of(self.velocity, nodes), self.step_count)
 
     def velocities_of(self, nodes: Int64) -> Float64:
         """Velocity of some nodes, with all digits that are known [cells per unit of time], shape (count, 3)."""
@@ -91,3 +92,13 @@ class PreciseState(State):
         chosen, first = np.unique(nodes, return_index=True)
         velocity[chosen] = np.add.reduceat(parts, first)
         return PreciseState.of(self.precise_displacement, velocity, self.step_count)
+
+
+@kernel
+def _rows_of(vectors: Float, nodes: Int32) -> Float:
+    """The vectors of some nodes, shape (count, 3)."""
+    rows = np.empty((len(nodes), 3), vectors.dtype)
+    for row in range(len(nodes)):
+        for axis in range(3):
+            rows[row, axis] = vectors[nodes[row], axis]
+    return rows

@@ -35,3 +35,17 @@ def plain_blade_at_rest(model, displacement, points, parted=None):
     rest[is_open] = np.nan
     rest[is_edge] = at_edge
     return rest
+
+
+def plain_refined(poses, spacing=0.5):
+    """As of :func:`heartcase.simulator.cutting.rest_space.refined`."""
+    longest = [np.linalg.norm(np.diff(poses, axis=a), axis=-1).max(axis=1 - a) for a in (0, 1)]
+    for axis in (0, 1):
+        counts = np.maximum(np.ceil(longest[axis] / spacing), 1).astype(np.int64)
+        rows = np.moveaxis(poses, axis, 0)
+        whole = np.concatenate([[0], np.cumsum(counts)])
+        at = np.interp(np.arange(whole[-1] + 1), whole, np.arange(len(rows)))
+        before = np.minimum(at.astype(np.int64), len(rows) - 2)
+        part = (at - before)[:, None, None]
+        poses = np.moveaxis(rows[before] + part * (rows[before + 1] - rows[before]), 0, axis)
+    return poses

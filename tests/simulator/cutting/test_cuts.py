@@ -20,7 +20,7 @@ from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
-from tests.simulator.cutting.plain_rest import plain_blade_at_rest
+from tests.simulator.cutting.plain_rest import plain_blade_at_rest, plain_refined
 from tests.simulator.lattices import block, oblique_geometry, random_field
 
 LAWS = [ForceLaw(), ForceLaw("springs", 0.45), ForceLaw("element", 0.45)]
@@ -356,3 +356,12 @@ def test_a_blade_lies_at_rest_where_plain_numpy_says(seed):
     found = blade_at_rest(cuts.model, displacement, blade, parted)
     wanted = plain_blade_at_rest(cuts.model, displacement, blade, parted)
     assert found.tobytes() == wanted.tobytes()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.integers(2, 6), st.integers(2, 9), st.sampled_from([0.1, 1.0, 7.0]))
+def test_a_blade_is_refined_as_plain_numpy_refines_it(seed, poses, count, size):
+    blade = np.random.default_rng(seed).uniform(-size, size, (poses, count, 3))
+    if seed % 3 == 0:
+        blade = np.round(4 * blade) / 4
+    assert refined(blade).tobytes() == np.ascontiguousarray(plain_refined(blade)).tobytes()

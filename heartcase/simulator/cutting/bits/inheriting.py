@@ -8,7 +8,7 @@ from heartcase.compiling.kernel import kernel
 from heartcase.simulator.cutting.bits.rows import cell_of, set_of
 from heartcase.simulator.cutting.bits.sample_bits import count
 
-__all__ = ["changed_nodes", "heaviest_nodes", "inherit_nodes"]
+__all__ = ["changed_nodes", "heaviest_nodes", "held_nodes", "inherit_nodes"]
 
 
 @kernel
@@ -162,16 +162,33 @@ def heaviest_nodes(mass, node_origin, origins_before, node_before, node_count):
     for node in origins_before:
         has_copies[node] = True
     result = np.empty(node_count + len(origins_before), np.int64)
-    for node in range(len(node_origin)):
+    for node in range(node_count, len(node_origin)):
         origin = node_origin[node]
-        if has_copies[origin] and mass[node] >= mass[heaviest[origin]]:
+        if mass[node] >= mass[heaviest[origin]]:
             heaviest[origin] = node
     result[:node_count] = heaviest
     for copy in range(len(origins_before)):
         result[node_count + copy] = heaviest[origins_before[copy]]
     is_set = np.zeros(len(result), np.bool_)
     for node in range(len(node_origin)):
+        if node < node_count and not has_copies[node]:
+            continue
         before = node_before[node]
-        if has_copies[node_origin[node]] and not (is_set[before] and mass[node] < mass[result[before]]):
+        if not (is_set[before] and mass[node] < mass[result[before]]):
             result[before], is_set[before] = node, True
     return result
+
+
+@kernel
+def held_nodes(node_before, nodes, count_before):
+    """Nodes that come from some nodes before, ascending, and the place of that node among those given."""
+    number = np.full(count_before, -1, np.int32)
+    for place in range(len(nodes)):
+        number[nodes[place]] = place
+    found, places, count = np.empty(len(node_before), np.int64), np.empty(len(node_before), np.int64), 0
+    for node in range(len(node_before)):
+        place = number[node_before[node]]
+        if place >= 0:
+            found[count], places[count] = node, place
+            count += 1
+    return found[:count].copy(), places[:count].copy()

@@ -202,10 +202,9 @@ def _write_away(links, only_axis, is_on_face, shift, squares):
                     along_x[i] = np.int32((2 * i - 7 - x) ** 2)
                 for row in range(64):
                     rest = np.int32((2 * (row % 8) - 7 - y) ** 2 + (2 * (row // 8) - 7 - z) ** 2)
+                    line = squares[8 * row : 8 * row + 8]
                     for i in range(8):
-                        square = np.int32(along_x[i] + rest)
-                        if square < squares[8 * row + i]:
-                            squares[8 * row + i] = square
+                        line[i] = min(line[i], np.int32(along_x[i] + rest))
 
 
 @kernel(cached=False)

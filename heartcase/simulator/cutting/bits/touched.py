@@ -14,6 +14,8 @@ __all__ = [
     "next_places",
     "places_around",
     "places_of_links",
+    "samples_of_places",
+    "taken_over",
     "tissue_bits",
 ]
 
@@ -148,6 +150,17 @@ def begun_among(places, links):
             found[count] = link
             count += 1
     return found[:count].copy()
+
+
+@kernel
+def samples_of_places(keys):
+    """First and last index (i, j, k) of the samples of all of some places, shape (3,)."""
+    low, high = np.full(3, _ROOM), np.full(3, -_ROOM)
+    for key in keys:
+        for axis in range(3):
+            at = (key >> 21 * axis & _FIELD) - _ROOM
+            low[axis], high[axis] = min(low[axis], 8 * at), max(high[axis], 8 * at + 7)
+    return low, high
 
 
 @kernel
