@@ -94,6 +94,8 @@ class SplitWork:
     """What it was split along."""
     crossings: Crossings
     seen: Seen | None
+    other: Int64
+    """Vertices of the uncut surface that follow their nodes otherwise than there."""
 
     def is_begun(self, cuttable: CuttableSurface, sheets: tuple[Sheet, ...]) -> bool:
         """Whether a split along some sheets goes on from this one."""
@@ -101,7 +103,7 @@ class SplitWork:
         return is_of_same and all(one is other for one, other in zip(self.sheets, sheets, strict=False))
 
 
-_NO_WORK = SplitWork(None, (), NOTHING_CROSSES, None)
+_NO_WORK = SplitWork(None, (), NOTHING_CROSSES, None, np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,7 @@ def split_surface(
         (cuttable.normals, outward),
         work.seen,
     )
+    surface, is_other = _hung(cuttable, parted, split, ties, normals)
     count, old_count = split.vertex_count, split.old_count
     cells, weld = np.full(count, -1, np.int32), np.arange(count, dtype=np.int32)
     cells[ties.changed] = ties.cells[: len(ties.changed)]
@@ -198,7 +201,7 @@ def split_surface(
     uv_mm = np.zeros((count, 2), np.float32)
     uv_mm[old_count:] = split.new_flat * cuttable.model.cell_mm
     return SplitSurface(
-        surface=_hung(cuttable, parted, split, ties, normals),
+        surface=surface,
         weld=weld,
         triangle_origin=split.triangle_origin,
         triangle_sheet=split.triangle_sheet,
@@ -207,7 +210,7 @@ def split_surface(
         on_triangle=on_triangle,
         on_weights=on_weights,
         uv_mm=uv_mm,
-        work=SplitWork(cuttable, sheets, crossing, seen),
+        work=SplitWork(cuttable, sheets, crossing, seen, np.flatnonzero(is_other)),
     )
 
 
@@ -263,8 +266,8 @@ def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, F
 
 def _hung(
     cuttable: CuttableSurface, parted: PartedLattice, split: SplitMesh, ties: Ties, new_normals: Float64
-) -> SurfaceModel:
-    """The surface with its new vertices, and those that follow other nodes than before."""
+) -> tuple[SurfaceModel, Bool]:
+    """The surface with its new vertices, and which of the others follow their nodes otherwise than before."""
     before, model = cuttable.surface, parted.model
     old_count, count = before.vertex_count, split.vertex_count
     new = np.arange(old_count, count)
@@ -291,7 +294,7 @@ def _hung(
     }
     arrays["triangle_nodes"][rows] = ties.nodes
     arrays["rest_mm"][new] = model.geometry.index_to_world(split.new_places - 0.5).astype(np.float32)
-    normals_of, at_rest, is_bent_anew = _node_normals(cuttable, parted, arrays, ties)
+    normals_of, at_rest, touched, is_bent_anew = _node_normals(cuttable, parted, arrays, ties)
 
     tied_anew = np.concatenate([ties.changed[ties.is_tied_anew], new])
     arrays["curvature"][tied_anew] = 0
@@ -320,19 +323,22 @@ def _hung(
     names = ("weights", "edges", "curvature", "offset", "normal", "rest_turn")
     for name, values in zip(names, redone_arrays, strict=True):
         arrays[name][redone] = values
-    return replace(
+    hung = replace(
         before,
         triangles=split.triangles,
         normals_of=normals_of,
         **arrays,
         **_drawn(before, arrays["normal"][new]),
     )
+    is_other = np.zeros(old_count, np.bool_)
+    is_other[ties.changed] = is_other[touched] = True
+    return hung, is_other
 
 
 def _node_normals(
     cuttable: CuttableSurface, parted: PartedLattice, arrays: dict[str, Any], ties: Ties
-) -> tuple[NodeNormals, Float32, Int64]:
-    """Springs for approximate normals, these at rest, and bent vertices of which one at rest changed.
+) -> tuple[NodeNormals, Float32, Int64, Int64]:
+    """Springs for approximate normals, these at rest, bent vertices with others, and those where one at rest changed.
 
     The numbers of the normals of each vertex are written.
     """
@@ -349,7 +355,7 @@ def _node_normals(
     touched_rows = np.flatnonzero(kept[curved] & is_around[nodes].any(axis=1))
     touched, nodes = curved[touched_rows], nodes[touched_rows]
     if not len(touched):
-        return old, old_at_rest, nothing
+        return old, old_at_rest, nothing, nothing
     is_near = np.zeros(model.node_count, np.bool_)
     is_near[nodes[is_around[nodes]]] = True
     around = np.flatnonzero(is_near)
@@ -368,7 +374,7 @@ def _node_normals(
     numbers = np.where(is_around[nodes], number_of[nodes], was)
     arrays["normal_number"][touched] = numbers
     is_same = (at_rest[numbers] == at_rest[was]).all(axis=(1, 2))
-    return joined, at_rest, touched[~is_same]
+    return joined, at_rest, touched, touched[~is_same]
 
 
 def _gathered(model: LatticeModel, nodes: Int64) -> NodeNormals:
