@@ -11,7 +11,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["glue_around", "join_sets", "join_triangles", "measure_parts", "number_parts"]
+__all__ = ["glue_around", "has_double_edges", "join_sets", "join_triangles", "measure_parts", "number_parts"]
 
 
 @kernel(cached=False)
@@ -136,3 +136,30 @@ def join_triangles(uncut, crossed, added, added_origin, added_sheet, triangles, 
         triangles[at, 0], triangles[at, 1], triangles[at, 2] = added[n, 0], added[n, 1], added[n, 2]
         origin[at], sheet[at] = added_origin[n], added_sheet[n]
         at += 1
+
+
+@kernel
+def has_double_edges(triangles, vertices):
+    """Whether more than two sides of triangles have both their vertices in common.
+
+    Parameters
+    ----------
+    triangles, vertices
+        Corners of the triangles, shape (count, 3), and the vertex of each corner.
+    """
+    size = 16
+    while size < 6 * len(triangles):
+        size *= 2
+    keys, counts = np.full(size, -1), np.zeros(size, np.int8)
+    for n in range(len(triangles)):
+        for corner in range(3):
+            one, other = vertices[triangles[n, corner]], vertices[triangles[n, (corner + 1) % 3]]
+            key = min(one, other) << 32 | max(one, other)
+            at = ((key ^ (key >> 29)) * 0x1E3779B97F4A7C15 >> 20) & (size - 1)
+            while keys[at] >= 0 and keys[at] != key:
+                at = (at + 1) & (size - 1)
+            keys[at] = key
+            counts[at] += 1
+            if counts[at] > 2:
+                return True
+    return False

@@ -18,7 +18,7 @@ from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
-from heartcase.simulator.splitting.gluing import join_sets
+from heartcase.simulator.splitting.facing_kernels import corner_angles, sum_directions
 from heartcase.simulator.splitting.hanging_kernels import gather_near, hang_on, write_offsets
 from heartcase.simulator.splitting.surface_binding import (
     Seen,
@@ -216,52 +216,27 @@ def split_surface(
 
 def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, Float64]:
     """Direction out of the tissue at each new vertex, and its normal; unit vectors, grid axes."""
-    old_count, whole_count = split.old_count, split.vertex_count
-    first_row = len(split.triangles) - len(split.facing)
-    # Only vertices of what was divided, and new ones, are asked for.
-    is_asked = np.zeros(whole_count, np.bool_)
-    is_asked[split.triangles[first_row:]] = True
-    is_asked[old_count:] = True
-    asked = np.flatnonzero(is_asked)
-    number = np.empty(whole_count, np.int64)
-    number[asked] = np.arange(len(asked))
-    count, first_new = len(asked), len(asked) - (whole_count - old_count)
-    triangles, facing = number[split.triangles[first_row:]], split.facing
-    weld = np.concatenate([np.arange(first_new), number[split.new_weld]])
-    places_asked = np.concatenate([split.uncut_places[asked[:first_new]], split.new_places])
+    first_row, new_count = len(split.triangles) - len(split.facing), len(split.new_places)
+    triangles, shape = split.triangles[first_row:], (len(split.facing), 3)
+    sines, cosines, is_short = np.empty(shape), np.empty(shape), np.empty(shape, np.bool_)
+    corner_angles(triangles, split.uncut_places, split.new_places, _ONE_PLACE, sines, cosines, is_short)
     # By the angle at the corner: how a side is divided into triangles does not count.
-    corners = places_asked[triangles]
-    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    angle = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=2), np.einsum("tcx,tcx->tc", ahead, back))
-    angle += 0.3  # a side that is too thin counts, too
-    weighted = facing[:, None, :] * angle[..., None]
-
-    def summed(vertices: Any) -> Float64:
-        sums = [np.bincount(vertices.ravel(), weighted[..., axis].ravel(), minlength=count) for axis in range(3)]
-        return np.stack(sums, axis=1)
-
-    # Vertices in one place that hang together see what all of them see.
-    one, other = weld[triangles], weld[np.roll(triangles, -1, axis=1)]
-    alike = np.linalg.norm(ahead, axis=2) < _ONE_PLACE
-    places = np.arange(count)
-    join_sets(places, np.stack([one[alike], other[alike]], axis=1).astype(np.int64))
-    own, together = summed(triangles), summed(places[weld[triangles]])[places[weld]]
-    # Where both walls of a cut meet and cancel out, any of them.
-    first = np.zeros((count, 3))
-    first[triangles[::-1].ravel()] = np.repeat(facing[::-1], 3, axis=0)
-    normals = _unit(own)
-    normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, first)
-    is_lip = np.zeros(count, np.bool_)
-    is_lip[triangles[split.triangle_origin[first_row:] >= 0].ravel()] = True
-    lips = np.flatnonzero((split.new_on_triangle >= 0) & is_lip[first_new:])
-    on = first_new + lips
-    of_corners = cuttable.normals[cuttable.mesh.triangles[split.new_on_triangle[lips]]]
-    smooth = _unit(np.einsum("nc,ncx->nx", split.new_on_weights[lips], of_corners))
-    normals[on] = np.where(np.linalg.norm(smooth, axis=1, keepdims=True) > 0, smooth, normals[on])
-    outward = _unit(together)
-    for spare in (outward, np.array([0.0, 0.0, 1.0])):
-        normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, spare)
-    return outward[first_new:], normals[first_new:]
+    angles = np.arctan2(sines, cosines)
+    angles += 0.3  # a side that is too thin counts, too
+    outward, normals = np.empty((new_count, 3)), np.empty((new_count, 3))
+    sum_directions(
+        triangles,
+        split.facing,
+        angles,
+        is_short,
+        split.triangle_origin[first_row:] >= 0,
+        split.new_weld,
+        (split.new_on_triangle, split.new_on_weights),
+        (cuttable.normals, cuttable.mesh.triangles),
+        outward,
+        normals,
+    )
+    return outward, normals
 
 
 def _hung(

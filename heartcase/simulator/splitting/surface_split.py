@@ -23,6 +23,7 @@ from heartcase.simulator.arrangement.surface_patches import number_split_parts
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.crossings import QUANTA
 from heartcase.simulator.splitting.double_edges import Corners, separate_fans, without_double_edges
+from heartcase.simulator.splitting.facing_kernels import face_ways, lay_out
 from heartcase.simulator.splitting.gluing import glue_around, join_sets, join_triangles, measure_parts
 
 __all__ = ["SplitMesh", "split_mesh"]
@@ -297,7 +298,10 @@ def _written(
     point, sample = points.number[corners.triangles.ravel()[rows]], rows // 3
     flat = np.zeros((len(used), 2))
     on_wall = is_wall[sample]
-    flat[on_wall] = _laid_out(mesh, points.places[point[on_wall]], facets[sample[on_wall]] - surface_facets)
+    laid = np.empty((int(on_wall.sum()), 2))
+    of_triangle = facets[sample[on_wall]] - surface_facets
+    lay_out(mesh.vertices / QUANTA, mesh.triangles, mesh.flat, points.places[point[on_wall]], of_triangle, laid)
+    flat[on_wall] = laid
     origin, sheet = np.full(len(facets), -1, np.int32), np.full(len(facets), -1, np.int32)
     origin[~is_wall] = parts.crossed[facets[~is_wall]]
     sheet[is_wall] = mesh.sheet[facets[is_wall] - surface_facets]
@@ -310,6 +314,8 @@ def _written(
     part_count = number_split_parts(
         surface.triangles, surface.patches, parts.crossed, triangles, weld, vertex_count, part
     )
+    facing = np.empty((len(facets), 3))
+    face_ways(parts.ints, facets, is_wall & (wall_side % 2 == 1), facing)
     split = SplitMesh(
         triangles=all_triangles,
         triangle_origin=all_origin,
@@ -321,23 +327,11 @@ def _written(
         new_on_weights=points.on_weights[point],
         new_flat=flat,
         uncut_triangles=surface.triangles,
-        facing=_facing(surface, mesh, parts, facets, wall_side),
+        facing=facing,
         triangle_part=part,
         crossed=parts.crossed,
     )
     return split if part_count <= 1 else _without_dust(split, np.where(is_wall, wall_side, -1), part_count)
-
-
-def _facing(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, facets: Int64, wall_side: Int64) -> Float64:
-    """Normals of triangles by their facets: a triangle may be too thin to have one."""
-    corners = np.concatenate([surface.vertices[surface.triangles[parts.crossed]], mesh.vertices[mesh.triangles]])
-    p, q, r = np.moveaxis(corners[facets], 1, 0)
-    normals = np.cross(q - p, r - p).astype(np.float64)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    is_back = (facets >= len(parts.crossed)) & (wall_side % 2 == 1)
-    facing: Float64 = np.where(is_back[:, None], -normals, normals)
-    return facing
 
 
 def _without_dust(split: SplitMesh, wall_side: Int64, part_count: int) -> SplitMesh:
@@ -407,10 +401,3 @@ def _points(surface: UncutSurface, parts: Arrangement, nodes: Int64, corners: Co
         np.concatenate([parts.on_surface, on_triangle]),
         np.concatenate([parts.surface_weights, weights]),
     )
-
-
-def _laid_out(mesh: SheetMesh, places: Float64, triangles: Int64) -> Float64:
-    """Places on a sheet laid out flat of points in triangles of it."""
-    shares = barycentric(mesh.vertices[mesh.triangles[triangles]] / QUANTA, places)
-    flat: Float64 = np.einsum("nc,ncx->nx", shares, mesh.flat[triangles])
-    return flat
