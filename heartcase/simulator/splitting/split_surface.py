@@ -19,7 +19,7 @@ from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.splitting.facing_kernels import corner_angles, sum_directions
-from heartcase.simulator.splitting.hanging_kernels import gather_near, hang_on, write_offsets
+from heartcase.simulator.splitting.hanging_kernels import find_bent, gather_near, hang_on, write_offsets
 from heartcase.simulator.splitting.surface_binding import (
     Seen,
     TiedSurface,
@@ -59,6 +59,8 @@ class CuttableSurface:
     """Vertices with an interpolated basis, ascending."""
     rest_normals: Float32
     """Approximate normals at rest of the nodes that these need, shape (at least 1, 3)."""
+    lowest_neighbours: Int32
+    """Lowest node that a spring joins to each node, or itself, shape (node_count,)."""
     tied: TiedSurface
     """What its vertices follow."""
 
@@ -77,7 +79,9 @@ class CuttableSurface:
         mesh = UncutSurface.of(places, surface.triangles)
         tied = TiedSurface.of(model, surface.triangle_nodes, mesh.places, mesh.triangles)
         curved, at_rest = np.flatnonzero(surface.curvature), rest_normals(surface.normals_of)
-        return cls(model, surface, mesh, normals, curved, at_rest, tied)
+        lowest = np.arange(model.node_count, dtype=np.int32)
+        np.minimum.at(lowest, model.spring_nodes[:, 1], model.spring_nodes[:, 0])
+        return cls(model, surface, mesh, normals, curved, at_rest, lowest, tied)
 
     def samples(self) -> TissueSamples:
         """Samples of the tissue inside the surface."""
@@ -323,18 +327,15 @@ def _node_normals(
     is_around = np.zeros(model.node_count, np.bool_)
     is_around[model.cell_corners[parted.pieces.cells]] = True
     is_around[model.cell_corners[cuttable.model.cell_count :]] = True
-    curved = cuttable.curved
-    kept = np.ones(before.vertex_count, np.bool_)
-    kept[ties.changed[ties.is_tied_anew]] = False
-    nodes = arrays["triangle_nodes"][curved]
-    touched_rows = np.flatnonzero(kept[curved] & is_around[nodes].any(axis=1))
-    touched, nodes = curved[touched_rows], nodes[touched_rows]
-    if not len(touched):
-        return old, old_at_rest, nothing, nothing
     is_near = np.zeros(model.node_count, np.bool_)
-    is_near[nodes[is_around[nodes]]] = True
-    around = np.flatnonzero(is_near)
-    added = _gathered(model, around)
+    touched = np.empty(len(cuttable.curved), np.int64)
+    all_nodes = arrays["triangle_nodes"]
+    count = find_bent(cuttable.curved, ties.changed, ties.is_tied_anew, all_nodes, is_around, is_near, touched)
+    if not count:
+        return old, old_at_rest, nothing, nothing
+    touched = touched[:count].copy()
+    nodes, around = all_nodes[touched], np.flatnonzero(is_near)
+    added = _gathered(cuttable, parted, around)
     first = np.concatenate([old.first, old.first[-1] + added.first[1:]]).astype(np.int32)
     joined = NodeNormals(
         np.concatenate([old.nodes, added.nodes]),
@@ -352,13 +353,21 @@ def _node_normals(
     return joined, at_rest, touched, touched[~is_same]
 
 
-def _gathered(model: LatticeModel, nodes: Int64) -> NodeNormals:
+def _gathered(cuttable: CuttableSurface, parted: PartedLattice, nodes: Int64) -> NodeNormals:
     """The springs of some nodes, as :func:`heartcase.simulator.surface.deform.gather_springs` gives them."""
-    first, room = np.empty(len(nodes) + 1, np.int32), 24 * len(nodes)
+    model, first, room = parted.model, np.empty(len(nodes) + 1, np.int32), 24 * len(nodes)
     while True:
         neighbours, offset = np.empty(room, np.int32), np.empty((room, 3), np.float32)
         count = gather_near(
-            model.spring_nodes, model.spring_direction, DIRECTIONS, model.node_count, nodes, first, neighbours, offset
+            model.spring_nodes,
+            model.spring_direction,
+            DIRECTIONS,
+            parted.node_origin,
+            cuttable.lowest_neighbours,
+            nodes,
+            first,
+            neighbours,
+            offset,
         )
         if count <= room:
             return NodeNormals(nodes.astype(np.int32), first, neighbours[:count].copy(), offset[:count].copy())
