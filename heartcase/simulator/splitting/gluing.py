@@ -11,7 +11,15 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["glue_around", "has_double_edges", "join_sets", "join_triangles", "measure_parts", "number_parts"]
+__all__ = [
+    "glue_around",
+    "has_double_edges",
+    "join_sets",
+    "join_triangles",
+    "list_outlines",
+    "measure_parts",
+    "number_parts",
+]
 
 
 @kernel(cached=False)
@@ -163,3 +171,43 @@ def has_double_edges(triangles, vertices):
             if counts[at] > 2:
                 return True
     return False
+
+
+@kernel
+def list_outlines(halves, corners, facet_edges, outlines, pieces, is_backwards):
+    """List the half-edges along the edges of facets; returns how many there are.
+
+    Parameters
+    ----------
+    halves
+        Of :class:`heartcase.simulator.arrangement.arrange.Faces`.
+    corners, facet_edges
+        Of the facets.
+    outlines, pieces, is_backwards
+        Half-edges, ascending, the piece of an edge that each is, and whether it runs backwards; room for all; written.
+    """
+    count, most = 0, 1
+    start = 0
+    for half in range(len(halves)):
+        kind = halves[half, 3]
+        if kind >= 0 or kind < -3 * len(corners):
+            continue
+        if count > start and halves[outlines[start], 3] != kind:
+            start = count
+        outlines[count] = half
+        count += 1
+        most = max(most, count - start)
+    start = 0
+    while start < count:
+        side = -1 - halves[outlines[start], 3]
+        stop = start
+        while stop < count and -1 - halves[outlines[stop], 3] == side:
+            stop += 1
+        facet, corner = side // 3, side % 3
+        runs_back = corners[facet, corner] > corners[facet, (corner + 1) % 3]
+        for at in range(start, stop):
+            rank = stop - 1 - at if runs_back else at - start
+            pieces[at] = facet_edges[facet, corner] * most + rank
+            is_backwards[at] = runs_back
+        start = stop
+    return count
