@@ -9,7 +9,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["find_bent", "gather_near", "hang_on", "weigh_closest", "weigh_one", "write_offsets"]
+__all__ = ["find_bent", "gather_near", "hang_on", "weigh_one", "write_offsets"]
 
 _PLAIN: dict[str, Any] = {"error_model": "numpy"}
 _ORDER = (0, 2, 1)
@@ -45,23 +45,6 @@ def weigh_one(point, p, q, r, weights):
             if away < nearest:
                 one, two, nearest = a, b, away
     weights[0], weights[1], weights[2] = 1.0 - (one + two), one, two
-
-
-@kernel(**_PLAIN)
-def weigh_closest(points, corners, weights):
-    """Write barycentric weights of the places in triangles that are closest to points, shape (count, 3).
-
-    Parameters
-    ----------
-    points
-        Shape (count, 3).
-    corners
-        Of the triangles, shape (count, 3, 3).
-    weights
-        Written.
-    """
-    for n in range(len(points)):
-        weigh_one(points[n], corners[n, 0], corners[n, 1], corners[n, 2], weights[n])
 
 
 @kernel(**_PLAIN)
