@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +17,7 @@ from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.splitting.free_parts import cut_picking, excise, parts_of_lattice, triangles_of_parts
 from heartcase.simulator.splitting.split_surface import CuttableSurface, split_surface
 from heartcase.simulator.surface.deform import deform, deform_picking
+from heartcase.simulator.surface.followers import SurfaceFollower
 from tests.simulator.splitting.surfaces import block, box, check_closed, check_ties, hung, plane, sheets, volume
 
 SHAPE = (3, 3, 2)
@@ -302,3 +305,15 @@ def test_what_is_shown_after_a_cut_is_what_is_worked_out_anew(seed, is_bent, mov
     for n in (1, 3, 0):
         simulation.restore(points[n])
         assert_shown_whole(simulation)
+
+
+def test_a_vertex_that_hangs_otherwise_is_worked_out_again():
+    surface = CUTTABLE.surface
+    other = surface.offset.copy()
+    other[[3, 40]] += 0.5
+    moved = replace(surface, offset=other)
+    before, after = SurfaceFollower(MODEL, surface), SurfaceFollower(MODEL, moved)
+    displacement = bent(3)
+    before.now(displacement)
+    after.go_on_from(before, surface, MODEL.node_count, np.array([3, 40]))
+    assert after.now(displacement).vertices_mm.tobytes() == deform(MODEL, moved, displacement).vertices_mm.tobytes()
