@@ -360,10 +360,16 @@ class MovingTissue:
         elif made is not None and model is not made.model:
             engine.set_springs(model)
         engine.step_count = self._engine.step_count
+        split_before = self.split
         self.model, self.cuts, self.split, self.picking = model, cuts, split, picking
         self.surface = self._whole_surface if split is None else split.surface
         self._inverse_mass, self._engine = model.inverse_mass, engine
-        self._surfaces = self._make_surfaces()
+        before, self._surfaces = self._surfaces, self._make_surfaces()
+        if self._whole_surface is not None and cuts is not None:
+            other = [each.work.other for each in (split_before, split) if each is not None and each.work is not None]
+            self._surfaces.go_on_from(
+                before, self._whole_surface, cuts.uncut.node_count, np.concatenate([np.zeros(0, np.int64), *other])
+            )
 
     def _cut_tissue(self, model: LatticeModel, cuts: Cuts, points: Float64, engine_before: Engine | None) -> CutTissue:
         """What one more cut leaves of some lattice, of which so much was cut, and which an engine moves."""

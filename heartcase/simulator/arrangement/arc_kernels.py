@@ -8,7 +8,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["end_turns", "flat_corners", "lay_arcs", "list_on_edges", "order_on_edges", "place_nodes"]
+__all__ = ["end_turns", "flat_corners", "lay_arcs", "list_on_edges", "meet_in_points", "order_on_edges", "place_nodes"]
 
 _OF_SHEETS = 1 << 62
 _MASK = 0x7FFFFFFF
@@ -332,3 +332,59 @@ def place_nodes(surface, sheets, crossed, nodes, facets, weights, first_node, pl
     for node in range(len(places)):
         if on_surface[node] >= 0:
             _weighed(on_weights[node], surface[0], surface[1][on_surface[node]], places[node])
+
+
+@kernel
+def meet_in_points(ints, meeting, not_zero, places, found):
+    """Write where the planes of three facets meet, and whether that is in all of them: 1, or 0; or 2 if it is not sure.
+
+    Parameters
+    ----------
+    ints, meeting
+        Corners of the facets in whole numbers, and three facets for each point, shape (count, 3).
+    not_zero
+        Distance from the edges of a facet from which on a place is on a side of them for sure.
+    places, found
+        Shapes (count, 3) and (count,); written.
+    """
+    normals, crosses, sizes = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    way, inward, away = np.empty(3), np.empty(3), np.empty(3)
+    for n in range(len(meeting)):
+        for one in range(3):
+            _normal(ints[meeting[n, one]], normals[one])
+            sizes[one] = _length(normals[one])
+        for one in range(3):
+            _cross(normals[(one + 1) % 3], normals[(one + 2) % 3], crosses[one])
+        scale = _dot(normals[0], crosses[0])
+        # From a corner of the first, so that numbers stay small.
+        origin = ints[meeting[n, 0], 0]
+        for axis in range(3):
+            places[n, axis] = 0.0
+        for one in range(3):
+            for axis in range(3):
+                away[axis] = ints[meeting[n, one], 0, axis] - origin[axis]
+            offset = _dot(normals[one], away)
+            for axis in range(3):
+                places[n, axis] += offset * crosses[one, axis]
+        for axis in range(3):
+            places[n, axis] /= scale if scale != 0.0 else 1.0
+        least = not_zero / max(abs(scale) / max(sizes[0] * sizes[1] * sizes[2], 1e-300), 1e-300)
+        is_far, is_outside, is_within = True, False, True
+        for one in range(3):
+            corners = ints[meeting[n, one]]
+            for side in range(3):
+                for axis in range(3):
+                    way[axis] = corners[(side + 1) % 3, axis] - corners[side, axis]
+                    away[axis] = places[n, axis] - (corners[side, axis] - origin[axis])
+                _cross(normals[one], way, inward)
+                size = _length(inward)
+                for axis in range(3):
+                    inward[axis] /= size if size > 0.0 else 1.0
+                height = _dot(inward, away)
+                is_far = is_far and abs(height) > least
+                is_outside = is_outside or height < -least
+                is_within = is_within and height > 0.0
+        is_sure = scale != 0.0 and (is_far or is_outside)
+        found[n] = 2 if not is_sure else 1 if is_within else 0
+        for axis in range(3):
+            places[n, axis] += origin[axis]

@@ -56,6 +56,8 @@ class Arrangement(NamedTuple):
     """Triangle of the surface of each of the first facets, ascending."""
     corners: Int64
     """Nodes of each facet, shape (facet_count, 3)."""
+    ints: Int64
+    """Whole-number places of these, shape (facet_count, 3, 3)."""
     facet_edges: Int64
     """Edge that follows each corner: of the surface, or its edge count and the number of a sheet's."""
     arcs: Arcs
@@ -192,7 +194,9 @@ def arrange(surface: UncutSurface, crossing: Crossings) -> Arrangement:
         on_surface,
         surface_weights,
     )
-    return Arrangement(crossed, corners, facet_edges, arcs, arc_lists, faces, node_places, on_surface, surface_weights)
+    return Arrangement(
+        crossed, corners, ints, facet_edges, arcs, arc_lists, faces, node_places, on_surface, surface_weights
+    )
 
 
 def _nodes_on_edges(

@@ -278,6 +278,16 @@ def divide_facets(
         first_arc, last_arc = arc_first[facet], arc_first[facet + 1]
         arc_count = last_arc - first_arc
         outline = 3 + edge_first[3 * facet + 3] - edge_first[3 * facet]
+        if outline == 3 and arc_count == 0:
+            # Nothing divides it: one face, and that is one triangle.
+            for side in range(3):
+                row = half_total + side
+                halves[row, 0], halves[row, 1] = corners[facet, side], face_total
+                halves[row, 2], halves[row, 3] = half_total + (side + 1) % 3, -1 - 3 * facet - side
+                triangles[triangle_total, side] = row
+            face_facet[face_total] = facet
+            half_total, face_total, triangle_total = half_total + 3, face_total + 1, triangle_total + 1
+            continue
         room = outline + 4 * arc_count
         nodes, at = np.empty(outline + 2 * arc_count, np.int64), np.empty((outline + 2 * arc_count, 2))
         origin, target = np.empty(room, np.int64), np.empty(room, np.int64)

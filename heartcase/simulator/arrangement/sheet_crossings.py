@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
+from heartcase.simulator.arrangement.arc_kernels import meet_in_points
 from heartcase.simulator.arrangement.exact_ties import comes_first, is_in_all_three
 from heartcase.simulator.arrangement.merged_rows import order_rows
 from heartcase.simulator.arrangement.sheet_mesh import Merged, SheetMesh
@@ -192,34 +193,16 @@ def _points(corners: Int64, numbers: Int64, arcs: Arcs, triples: Int64, surface_
     facets = arcs.facets
     third = np.where(facets[with_one, 0] == facets[between, 0], facets[with_one, 1], facets[with_one, 0])
     meeting = np.stack([third, facets[between, 0], facets[between, 1]], axis=1)
-    p, q, r = np.moveaxis(corners[meeting].astype(np.float64), 2, 0)
-    normals = np.cross(q - p, r - p)
-    crosses = np.cross(np.roll(normals, -1, axis=1), np.roll(normals, -2, axis=1))
-    scale = np.einsum("nx,nx->n", normals[:, 0], crosses[:, 0])
-    safe = np.where(scale != 0, scale, 1.0)
-    # From a corner of the third, so that numbers stay small.
-    origin = p[:, :1]
-    offsets = np.einsum("nfx,nfx->nf", normals, p - origin)
-    place = np.einsum("nf,nfx->nx", offsets, crosses) / safe[:, None]
-    heights = np.empty((len(triples), 3, 3))
-    for n, (one, other) in enumerate(((p, q), (q, r), (r, p))):
-        inward = np.cross(normals, other - one)
-        size = np.linalg.norm(inward, axis=2)
-        inward /= np.where(size > 0, size, 1.0)[..., None]
-        heights[:, :, n] = np.einsum("nfx,nfx->nf", inward, place[:, None] - (one - origin))
-    sizes = np.abs(scale) / np.maximum(np.prod(np.linalg.norm(normals, axis=2), axis=1), 1e-300)
-    is_sure = (np.abs(heights) > _NOT_ZERO / np.maximum(sizes, 1e-300)[:, None, None]).all(axis=(1, 2)) & (scale != 0)
-    is_sure |= (heights < -_NOT_ZERO / np.maximum(sizes, 1e-300)[:, None, None]).any(axis=(1, 2)) & (scale != 0)
-    inside = is_sure & (heights > 0).all(axis=(1, 2))
-    place += origin[:, 0]
-    turns = np.full(len(triples), np.nan)
-    for row in np.flatnonzero(~is_sure).tolist():
+    place, found = np.empty((len(triples), 3)), np.empty(len(triples), np.int8)
+    meet_in_points(corners, meeting, _NOT_ZERO, place, found)
+    inside, turns = found == 1, np.full(len(triples), np.nan)
+    for row in np.flatnonzero(found == 2).tolist():
         three = meeting[row]
         first_is_surface = bool(three[0] < surface_facets)
         inside[row], place[row], way = is_in_all_three(
             corners[three], numbers[three], first_is_surface=first_is_surface
         )
-        one, other = normals[row, 1], normals[row, 2]
+        one, other = (np.cross(q - p, r - p).astype(np.float64) for p, q, r in corners[three[1:]])
         if np.linalg.norm(np.cross(one, other)) <= _PARALLEL * np.linalg.norm(one) * np.linalg.norm(other):
             turns[row] = way * (_PARALLEL if one @ other > 0 else np.pi - _PARALLEL)
     return _Points(triples[inside], place[inside], meeting[inside], turns[inside])

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Int64
-from heartcase.simulator.splitting.gluing import join_sets
+from heartcase.simulator.splitting.gluing import has_double_edges, join_sets
 
 __all__ = ["Corners", "separate_fans", "without_double_edges"]
 
@@ -56,7 +56,7 @@ def without_double_edges(triangles: Int64, vertices: Int64, following: Int64, pa
     is_unsure = False
     at: list[int] = []
     added: list[int] = []
-    while True:
+    while has_double_edges(triangles, all_vertices):
         starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
         one, other = all_vertices[starts], all_vertices[ends]
         keys = np.minimum(one, other) << 32 | np.maximum(one, other)

@@ -11,7 +11,15 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["glue_around", "join_sets", "join_triangles", "measure_parts", "number_parts"]
+__all__ = [
+    "glue_around",
+    "has_double_edges",
+    "join_sets",
+    "join_triangles",
+    "list_outlines",
+    "measure_parts",
+    "number_parts",
+]
 
 
 @kernel(cached=False)
@@ -136,3 +144,70 @@ def join_triangles(uncut, crossed, added, added_origin, added_sheet, triangles, 
         triangles[at, 0], triangles[at, 1], triangles[at, 2] = added[n, 0], added[n, 1], added[n, 2]
         origin[at], sheet[at] = added_origin[n], added_sheet[n]
         at += 1
+
+
+@kernel
+def has_double_edges(triangles, vertices):
+    """Whether more than two sides of triangles have both their vertices in common.
+
+    Parameters
+    ----------
+    triangles, vertices
+        Corners of the triangles, shape (count, 3), and the vertex of each corner.
+    """
+    size = 16
+    while size < 6 * len(triangles):
+        size *= 2
+    keys, counts = np.full(size, -1), np.zeros(size, np.int8)
+    for n in range(len(triangles)):
+        for corner in range(3):
+            one, other = vertices[triangles[n, corner]], vertices[triangles[n, (corner + 1) % 3]]
+            key = min(one, other) << 32 | max(one, other)
+            at = ((key ^ (key >> 29)) * 0x1E3779B97F4A7C15 >> 20) & (size - 1)
+            while keys[at] >= 0 and keys[at] != key:
+                at = (at + 1) & (size - 1)
+            keys[at] = key
+            counts[at] += 1
+            if counts[at] > 2:
+                return True
+    return False
+
+
+@kernel
+def list_outlines(halves, corners, facet_edges, outlines, pieces, is_backwards):
+    """List the half-edges along the edges of facets; returns how many there are.
+
+    Parameters
+    ----------
+    halves
+        Of :class:`heartcase.simulator.arrangement.arrange.Faces`.
+    corners, facet_edges
+        Of the facets.
+    outlines, pieces, is_backwards
+        Half-edges, ascending, the piece of an edge that each is, and whether it runs backwards; room for all; written.
+    """
+    count, most = 0, 1
+    start = 0
+    for half in range(len(halves)):
+        kind = halves[half, 3]
+        if kind >= 0 or kind < -3 * len(corners):
+            continue
+        if count > start and halves[outlines[start], 3] != kind:
+            start = count
+        outlines[count] = half
+        count += 1
+        most = max(most, count - start)
+    start = 0
+    while start < count:
+        side = -1 - halves[outlines[start], 3]
+        stop = start
+        while stop < count and -1 - halves[outlines[stop], 3] == side:
+            stop += 1
+        facet, corner = side // 3, side % 3
+        runs_back = corners[facet, corner] > corners[facet, (corner + 1) % 3]
+        for at in range(start, stop):
+            rank = stop - 1 - at if runs_back else at - start
+            pieces[at] = facet_edges[facet, corner] * most + rank
+            is_backwards[at] = runs_back
+        start = stop
+    return count

@@ -9,7 +9,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["gather_near", "hang_on", "weigh_closest", "weigh_one", "write_offsets"]
+__all__ = ["find_bent", "gather_near", "hang_on", "weigh_one", "write_offsets"]
 
 _PLAIN: dict[str, Any] = {"error_model": "numpy"}
 _ORDER = (0, 2, 1)
@@ -45,23 +45,6 @@ def weigh_one(point, p, q, r, weights):
             if away < nearest:
                 one, two, nearest = a, b, away
     weights[0], weights[1], weights[2] = 1.0 - (one + two), one, two
-
-
-@kernel(**_PLAIN)
-def weigh_closest(points, corners, weights):
-    """Write barycentric weights of the places in triangles that are closest to points, shape (count, 3).
-
-    Parameters
-    ----------
-    points
-        Shape (count, 3).
-    corners
-        Of the triangles, shape (count, 3, 3).
-    weights
-        Written.
-    """
-    for n in range(len(points)):
-        weigh_one(points[n], corners[n, 0], corners[n, 1], corners[n, 2], weights[n])
 
 
 @kernel(**_PLAIN)
@@ -136,40 +119,69 @@ def write_offsets(points, nodes, node_index, weights, basis, facing, offset, nor
             normal[n, row] = 0.0 + b[0] * facing[n, 0] + b[2] * facing[n, 2] + b[1] * facing[n, 1]
 
 
+@kernel(cached=False)
+def _first_from(spring_nodes, node):
+    """First spring of which the lower node is not below a node."""
+    low, high = 0, len(spring_nodes)
+    while low < high:
+        middle = (low + high) // 2
+        if spring_nodes[middle, 0] < node:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
 @kernel
-def gather_near(spring_nodes, spring_direction, directions, node_count, nodes, first, neighbours, offset):
+def gather_near(spring_nodes, spring_direction, directions, origins, lowest, nodes, first, neighbours, offset):
     """List the springs of some nodes, node by node, by neighbour; returns how many there are, and room is needed for.
 
     Parameters
     ----------
     spring_nodes, spring_direction, directions
-        Both nodes and direction of each spring, and the way of each direction.
-    node_count, nodes
-        Number of nodes, and those that are asked for, ascending.
+        Both nodes, by the lower, and direction of each spring, and the way of each direction.
+    origins, lowest
+        Node of the uncut lattice that each node is, or is a copy of, and the lowest node that a spring of the uncut
+        lattice joins to each of its nodes, or itself.
+    nodes
+        Those that are asked for, ascending.
     first
         Where each node's neighbours start, int32, shape (count + 1,); written.
     neighbours, offset
         Nodes at the other end, and the way from these to the node at rest; written as far as there is room.
     """
-    row = np.full(node_count, -1, np.int32)
+    row = np.full(len(origins), -1, np.int32)
+    least, most = len(origins), -1
     for n in range(len(nodes)):
         row[nodes[n]] = n
-    counts = np.zeros(len(nodes) + 1, np.int64)
-    for spring in range(len(spring_nodes)):
-        one, other = row[spring_nodes[spring, 0]], row[spring_nodes[spring, 1]]
-        if one >= 0:
-            counts[one + 1] += 1
-        if other >= 0:
-            counts[other + 1] += 1
+        origin = origins[nodes[n]]
+        least, most = min(least, lowest[origin]), max(most, origin)
+    # Only springs from nodes between these, or from copies, can be of these nodes.
+    spans = np.empty((2, 2), np.int64)
+    spans[0, 0], spans[0, 1] = _first_from(spring_nodes, least), _first_from(spring_nodes, most + 1)
+    spans[1, 0] = max(_first_from(spring_nodes, len(lowest)), spans[0, 1])
+    spans[1, 1] = len(spring_nodes)
+    near = np.empty(spans[0, 1] - spans[0, 0] + spans[1, 1] - spans[1, 0], np.int64)
+    count, counts = 0, np.zeros(len(nodes) + 1, np.int64)
+    for span in range(2):
+        for spring in range(spans[span, 0], spans[span, 1]):
+            one, other = row[spring_nodes[spring, 0]], row[spring_nodes[spring, 1]]
+            if one >= 0 or other >= 0:
+                near[count] = spring
+                count += 1
+                if one >= 0:
+                    counts[one + 1] += 1
+                if other >= 0:
+                    counts[other + 1] += 1
     for n in range(len(nodes)):
         counts[n + 1] += counts[n]
     first[:] = counts
     total = counts[len(nodes)]
     if total > len(neighbours):
         return total
-    ends, ways = np.empty(total, np.int32), np.empty(total, np.int32)
+    ends, ways = np.empty(total, np.int64), np.empty(total, np.int64)
     filled = counts.copy()
-    for spring in range(len(spring_nodes)):
+    for spring in near[:count]:
         for end in range(2):
             n = row[spring_nodes[spring, end]]
             if n < 0:
@@ -187,3 +199,34 @@ def gather_near(spring_nodes, spring_direction, directions, node_count, nodes, f
             along = directions[spring_direction[ways[at] // 2], axis]
             offset[at, axis] = along if ways[at] % 2 else -along
     return total
+
+
+@kernel
+def find_bent(curved, changed, is_tied_anew, triangle_nodes, is_around, is_near, touched):
+    """List vertices with an interpolated basis that keep their nodes, of which one is marked; returns how many.
+
+    Parameters
+    ----------
+    curved
+        Vertices with an interpolated basis, ascending.
+    changed, is_tied_anew
+        Vertices that follow other nodes, ascending, and which of these are tied anew.
+    triangle_nodes, is_around
+        Nodes of each vertex, and which nodes are marked.
+    is_near
+        Marked nodes of those that are listed, false at first; written.
+    touched
+        Room for all; written.
+    """
+    count, at = 0, 0
+    for vertex in curved:
+        while at < len(changed) and changed[at] < vertex:
+            at += 1
+        if at < len(changed) and changed[at] == vertex and is_tied_anew[at]:
+            continue
+        a, b, c = triangle_nodes[vertex, 0], triangle_nodes[vertex, 1], triangle_nodes[vertex, 2]
+        if is_around[a] or is_around[b] or is_around[c]:
+            is_near[a], is_near[b], is_near[c] = is_around[a], is_around[b], is_around[c]
+            touched[count] = vertex
+            count += 1
+    return count

@@ -18,8 +18,8 @@ from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
-from heartcase.simulator.splitting.gluing import join_sets
-from heartcase.simulator.splitting.hanging_kernels import gather_near, hang_on, write_offsets
+from heartcase.simulator.splitting.facing_kernels import corner_angles, sum_directions
+from heartcase.simulator.splitting.hanging_kernels import find_bent, gather_near, hang_on, write_offsets
 from heartcase.simulator.splitting.surface_binding import (
     Seen,
     TiedSurface,
@@ -59,6 +59,8 @@ class CuttableSurface:
     """Vertices with an interpolated basis, ascending."""
     rest_normals: Float32
     """Approximate normals at rest of the nodes that these need, shape (at least 1, 3)."""
+    lowest_neighbours: Int32
+    """Lowest node that a spring joins to each node, or itself, shape (node_count,)."""
     tied: TiedSurface
     """What its vertices follow."""
 
@@ -77,7 +79,9 @@ class CuttableSurface:
         mesh = UncutSurface.of(places, surface.triangles)
         tied = TiedSurface.of(model, surface.triangle_nodes, mesh.places, mesh.triangles)
         curved, at_rest = np.flatnonzero(surface.curvature), rest_normals(surface.normals_of)
-        return cls(model, surface, mesh, normals, curved, at_rest, tied)
+        lowest = np.arange(model.node_count, dtype=np.int32)
+        np.minimum.at(lowest, model.spring_nodes[:, 1], model.spring_nodes[:, 0])
+        return cls(model, surface, mesh, normals, curved, at_rest, lowest, tied)
 
     def samples(self) -> TissueSamples:
         """Samples of the tissue inside the surface."""
@@ -94,6 +98,8 @@ class SplitWork:
     """What it was split along."""
     crossings: Crossings
     seen: Seen | None
+    other: Int64
+    """Vertices of the uncut surface that follow their nodes otherwise than there."""
 
     def is_begun(self, cuttable: CuttableSurface, sheets: tuple[Sheet, ...]) -> bool:
         """Whether a split along some sheets goes on from this one."""
@@ -101,7 +107,7 @@ class SplitWork:
         return is_of_same and all(one is other for one, other in zip(self.sheets, sheets, strict=False))
 
 
-_NO_WORK = SplitWork(None, (), NOTHING_CROSSES, None)
+_NO_WORK = SplitWork(None, (), NOTHING_CROSSES, None, np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True)
@@ -188,6 +194,7 @@ def split_surface(
         (cuttable.normals, outward),
         work.seen,
     )
+    surface, is_other = _hung(cuttable, parted, split, ties, normals)
     count, old_count = split.vertex_count, split.old_count
     cells, weld = np.full(count, -1, np.int32), np.arange(count, dtype=np.int32)
     cells[ties.changed] = ties.cells[: len(ties.changed)]
@@ -198,7 +205,7 @@ def split_surface(
     uv_mm = np.zeros((count, 2), np.float32)
     uv_mm[old_count:] = split.new_flat * cuttable.model.cell_mm
     return SplitSurface(
-        surface=_hung(cuttable, parted, split, ties, normals),
+        surface=surface,
         weld=weld,
         triangle_origin=split.triangle_origin,
         triangle_sheet=split.triangle_sheet,
@@ -207,64 +214,39 @@ def split_surface(
         on_triangle=on_triangle,
         on_weights=on_weights,
         uv_mm=uv_mm,
-        work=SplitWork(cuttable, sheets, crossing, seen),
+        work=SplitWork(cuttable, sheets, crossing, seen, np.flatnonzero(is_other)),
     )
 
 
 def _directions(cuttable: CuttableSurface, split: SplitMesh) -> tuple[Float64, Float64]:
     """Direction out of the tissue at each new vertex, and its normal; unit vectors, grid axes."""
-    old_count, whole_count = split.old_count, split.vertex_count
-    first_row = len(split.triangles) - len(split.facing)
-    # Only vertices of what was divided, and new ones, are asked for.
-    is_asked = np.zeros(whole_count, np.bool_)
-    is_asked[split.triangles[first_row:]] = True
-    is_asked[old_count:] = True
-    asked = np.flatnonzero(is_asked)
-    number = np.empty(whole_count, np.int64)
-    number[asked] = np.arange(len(asked))
-    count, first_new = len(asked), len(asked) - (whole_count - old_count)
-    triangles, facing = number[split.triangles[first_row:]], split.facing
-    weld = np.concatenate([np.arange(first_new), number[split.new_weld]])
-    places_asked = np.concatenate([split.uncut_places[asked[:first_new]], split.new_places])
+    first_row, new_count = len(split.triangles) - len(split.facing), len(split.new_places)
+    triangles, shape = split.triangles[first_row:], (len(split.facing), 3)
+    sines, cosines, is_short = np.empty(shape), np.empty(shape), np.empty(shape, np.bool_)
+    corner_angles(triangles, split.uncut_places, split.new_places, _ONE_PLACE, sines, cosines, is_short)
     # By the angle at the corner: how a side is divided into triangles does not count.
-    corners = places_asked[triangles]
-    ahead, back = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    angle = np.arctan2(np.linalg.norm(np.cross(ahead, back), axis=2), np.einsum("tcx,tcx->tc", ahead, back))
-    angle += 0.3  # a side that is too thin counts, too
-    weighted = facing[:, None, :] * angle[..., None]
-
-    def summed(vertices: Any) -> Float64:
-        sums = [np.bincount(vertices.ravel(), weighted[..., axis].ravel(), minlength=count) for axis in range(3)]
-        return np.stack(sums, axis=1)
-
-    # Vertices in one place that hang together see what all of them see.
-    one, other = weld[triangles], weld[np.roll(triangles, -1, axis=1)]
-    alike = np.linalg.norm(ahead, axis=2) < _ONE_PLACE
-    places = np.arange(count)
-    join_sets(places, np.stack([one[alike], other[alike]], axis=1).astype(np.int64))
-    own, together = summed(triangles), summed(places[weld[triangles]])[places[weld]]
-    # Where both walls of a cut meet and cancel out, any of them.
-    first = np.zeros((count, 3))
-    first[triangles[::-1].ravel()] = np.repeat(facing[::-1], 3, axis=0)
-    normals = _unit(own)
-    normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, first)
-    is_lip = np.zeros(count, np.bool_)
-    is_lip[triangles[split.triangle_origin[first_row:] >= 0].ravel()] = True
-    lips = np.flatnonzero((split.new_on_triangle >= 0) & is_lip[first_new:])
-    on = first_new + lips
-    of_corners = cuttable.normals[cuttable.mesh.triangles[split.new_on_triangle[lips]]]
-    smooth = _unit(np.einsum("nc,ncx->nx", split.new_on_weights[lips], of_corners))
-    normals[on] = np.where(np.linalg.norm(smooth, axis=1, keepdims=True) > 0, smooth, normals[on])
-    outward = _unit(together)
-    for spare in (outward, np.array([0.0, 0.0, 1.0])):
-        normals = np.where(np.linalg.norm(normals, axis=1, keepdims=True) > 0, normals, spare)
-    return outward[first_new:], normals[first_new:]
+    angles = np.arctan2(sines, cosines)
+    angles += 0.3  # a side that is too thin counts, too
+    outward, normals = np.empty((new_count, 3)), np.empty((new_count, 3))
+    sum_directions(
+        triangles,
+        split.facing,
+        angles,
+        is_short,
+        split.triangle_origin[first_row:] >= 0,
+        split.new_weld,
+        (split.new_on_triangle, split.new_on_weights),
+        (cuttable.normals, cuttable.mesh.triangles),
+        outward,
+        normals,
+    )
+    return outward, normals
 
 
 def _hung(
     cuttable: CuttableSurface, parted: PartedLattice, split: SplitMesh, ties: Ties, new_normals: Float64
-) -> SurfaceModel:
-    """The surface with its new vertices, and those that follow other nodes than before."""
+) -> tuple[SurfaceModel, Bool]:
+    """The surface with its new vertices, and which of the others follow their nodes otherwise than before."""
     before, model = cuttable.surface, parted.model
     old_count, count = before.vertex_count, split.vertex_count
     new = np.arange(old_count, count)
@@ -291,7 +273,7 @@ def _hung(
     }
     arrays["triangle_nodes"][rows] = ties.nodes
     arrays["rest_mm"][new] = model.geometry.index_to_world(split.new_places - 0.5).astype(np.float32)
-    normals_of, at_rest, is_bent_anew = _node_normals(cuttable, parted, arrays, ties)
+    normals_of, at_rest, touched, is_bent_anew = _node_normals(cuttable, parted, arrays, ties)
 
     tied_anew = np.concatenate([ties.changed[ties.is_tied_anew], new])
     arrays["curvature"][tied_anew] = 0
@@ -320,19 +302,22 @@ def _hung(
     names = ("weights", "edges", "curvature", "offset", "normal", "rest_turn")
     for name, values in zip(names, redone_arrays, strict=True):
         arrays[name][redone] = values
-    return replace(
+    hung = replace(
         before,
         triangles=split.triangles,
         normals_of=normals_of,
         **arrays,
         **_drawn(before, arrays["normal"][new]),
     )
+    is_other = np.zeros(old_count, np.bool_)
+    is_other[ties.changed] = is_other[touched] = True
+    return hung, is_other
 
 
 def _node_normals(
     cuttable: CuttableSurface, parted: PartedLattice, arrays: dict[str, Any], ties: Ties
-) -> tuple[NodeNormals, Float32, Int64]:
-    """Springs for approximate normals, these at rest, and bent vertices of which one at rest changed.
+) -> tuple[NodeNormals, Float32, Int64, Int64]:
+    """Springs for approximate normals, these at rest, bent vertices with others, and those where one at rest changed.
 
     The numbers of the normals of each vertex are written.
     """
@@ -342,18 +327,15 @@ def _node_normals(
     is_around = np.zeros(model.node_count, np.bool_)
     is_around[model.cell_corners[parted.pieces.cells]] = True
     is_around[model.cell_corners[cuttable.model.cell_count :]] = True
-    curved = cuttable.curved
-    kept = np.ones(before.vertex_count, np.bool_)
-    kept[ties.changed[ties.is_tied_anew]] = False
-    nodes = arrays["triangle_nodes"][curved]
-    touched_rows = np.flatnonzero(kept[curved] & is_around[nodes].any(axis=1))
-    touched, nodes = curved[touched_rows], nodes[touched_rows]
-    if not len(touched):
-        return old, old_at_rest, nothing
     is_near = np.zeros(model.node_count, np.bool_)
-    is_near[nodes[is_around[nodes]]] = True
-    around = np.flatnonzero(is_near)
-    added = _gathered(model, around)
+    touched = np.empty(len(cuttable.curved), np.int64)
+    all_nodes = arrays["triangle_nodes"]
+    count = find_bent(cuttable.curved, ties.changed, ties.is_tied_anew, all_nodes, is_around, is_near, touched)
+    if not count:
+        return old, old_at_rest, nothing, nothing
+    touched = touched[:count].copy()
+    nodes, around = all_nodes[touched], np.flatnonzero(is_near)
+    added = _gathered(cuttable, parted, around)
     first = np.concatenate([old.first, old.first[-1] + added.first[1:]]).astype(np.int32)
     joined = NodeNormals(
         np.concatenate([old.nodes, added.nodes]),
@@ -368,16 +350,24 @@ def _node_normals(
     numbers = np.where(is_around[nodes], number_of[nodes], was)
     arrays["normal_number"][touched] = numbers
     is_same = (at_rest[numbers] == at_rest[was]).all(axis=(1, 2))
-    return joined, at_rest, touched[~is_same]
+    return joined, at_rest, touched, touched[~is_same]
 
 
-def _gathered(model: LatticeModel, nodes: Int64) -> NodeNormals:
+def _gathered(cuttable: CuttableSurface, parted: PartedLattice, nodes: Int64) -> NodeNormals:
     """The springs of some nodes, as :func:`heartcase.simulator.surface.deform.gather_springs` gives them."""
-    first, room = np.empty(len(nodes) + 1, np.int32), 24 * len(nodes)
+    model, first, room = parted.model, np.empty(len(nodes) + 1, np.int32), 24 * len(nodes)
     while True:
         neighbours, offset = np.empty(room, np.int32), np.empty((room, 3), np.float32)
         count = gather_near(
-            model.spring_nodes, model.spring_direction, DIRECTIONS, model.node_count, nodes, first, neighbours, offset
+            model.spring_nodes,
+            model.spring_direction,
+            DIRECTIONS,
+            parted.node_origin,
+            cuttable.lowest_neighbours,
+            nodes,
+            first,
+            neighbours,
+            offset,
         )
         if count <= room:
             return NodeNormals(nodes.astype(np.int32), first, neighbours[:count].copy(), offset[:count].copy())

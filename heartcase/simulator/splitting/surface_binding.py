@@ -37,6 +37,7 @@ from heartcase.simulator.splitting.seen_pieces import (
     PieceCells,
     SheetBuckets,
     index_answers,
+    lay_planes,
     mark_changes,
     nearest_halves,
     see_pieces,
@@ -231,7 +232,9 @@ class _Sight:
         fill_buckets(mesh.vertices, mesh.triangles, shift, low, size, first, members)
         members = np.empty(first[-1], np.int32)
         fill_buckets(mesh.vertices, mesh.triangles, shift, low, size, first, members)
-        self._buckets = SheetBuckets(mesh.vertices, mesh.triangles, low, size, first, members)
+        planes, boxes = np.empty((len(mesh.triangles), 13)), np.empty((len(mesh.triangles), 2, 3), np.int64)
+        lay_planes(mesh.vertices, mesh.triangles, planes, boxes)
+        self._buckets = SheetBuckets(low, size, first, members, planes, boxes)
         self._known, self._table = NOTHING_SEEN, np.zeros(0, np.int32)
         self._changes = np.zeros(0, np.bool_), cells.low, np.zeros((0, 0, 0), np.bool_)
         if before is not None:

@@ -23,7 +23,8 @@ from heartcase.simulator.arrangement.surface_patches import number_split_parts
 from heartcase.simulator.arrangement.uncut_surface import UncutSurface
 from heartcase.simulator.cutting.crossings import QUANTA
 from heartcase.simulator.splitting.double_edges import Corners, separate_fans, without_double_edges
-from heartcase.simulator.splitting.gluing import glue_around, join_sets, join_triangles, measure_parts
+from heartcase.simulator.splitting.facing_kernels import face_ways, lay_out
+from heartcase.simulator.splitting.gluing import glue_around, join_sets, join_triangles, list_outlines, measure_parts
 
 __all__ = ["SplitMesh", "split_mesh"]
 
@@ -129,51 +130,54 @@ def split_mesh(surface: UncutSurface, crossing: Crossings) -> SplitMesh:
     """Split a surface along all sheets at once."""
     mesh = crossing.mesh
     parts = arrange(surface, crossing)
-    face_is_wall = _faces_inside(surface, mesh, parts)
-    classes, partner = _glued(mesh, parts, face_is_wall)
+    sides = _half_edges(parts)
+    face_is_wall = _faces_inside(surface, mesh, parts, sides)
+    classes, partner = _glued(mesh, parts, sides, face_is_wall)
     return _written(surface, mesh, parts, face_is_wall, classes, partner)
 
 
-def _half_arcs(parts: Arrangement) -> tuple[Int64, Int64, Int64, Bool]:
-    """Half-edges along arcs; the arc of each, which of its facets, and whether it runs backwards."""
+class _HalfEdges(NamedTuple):
+    """Half-edges of an arrangement by what they run along."""
+
+    of_arcs: Int64
+    """Those along arcs, ascending."""
+    arc: Int64
+    """The arc of each of these."""
+    which: Int64
+    """In which of its facets each is."""
+    arc_backwards: Bool
+    """Whether each runs backwards."""
+    of_outlines: Int64
+    """Those along the facets' edges, ascending."""
+    piece: Int64
+    """The piece of an edge that each of these is, numbered edge by edge, as far as there are any."""
+    outline_backwards: Bool
+    """Whether each runs backwards."""
+
+
+def _half_edges(parts: Arrangement) -> _HalfEdges:
     kind = parts.faces.halves[:, 3]
     halves = np.flatnonzero(kind >= 0)
     entry = parts.arc_lists[kind[halves] // 2]
-    return halves, entry // 2, entry % 2, kind[halves] % 2 == 1
+    outlines, pieces = np.empty(len(kind), np.int64), np.empty(len(kind), np.int64)
+    is_backwards = np.empty(len(kind), np.bool_)
+    count = list_outlines(parts.faces.halves, parts.corners, parts.facet_edges, outlines, pieces, is_backwards)
+    outlines, pieces, is_backwards = outlines[:count], pieces[:count], is_backwards[:count]
+    return _HalfEdges(halves, entry // 2, entry % 2, kind[halves] % 2 == 1, outlines, pieces, is_backwards)
 
 
-def _half_outlines(parts: Arrangement) -> tuple[Int64, Int64, Bool]:
-    """Half-edges along the facets' edges; the piece of an edge that each is, and whether it runs backwards.
-
-    Pieces are numbered edge by edge, as far as there are any.
-    """
-    halves, facet_count = parts.faces.halves, len(parts.corners)
-    rows = np.flatnonzero((halves[:, 3] < 0) & (halves[:, 3] >= -3 * facet_count))
-    side = -1 - halves[rows, 3]
-    first = np.flatnonzero(np.diff(side, prepend=-1) != 0)
-    counts = np.diff(np.append(first, len(rows)))
-    rank = np.arange(len(rows)) - np.repeat(first, counts)
-    ahead = parts.corners[:, [1, 2, 0]].ravel()[side]
-    is_backwards = parts.corners.ravel()[side] > ahead
-    rank = np.where(is_backwards, np.repeat(counts, counts) - 1 - rank, rank)
-    edge = parts.facet_edges.ravel()[side]
-    most = int(counts.max(initial=1))
-    return rows, edge * most + rank, is_backwards
-
-
-def _faces_inside(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement) -> Bool:
+def _faces_inside(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, sides: _HalfEdges) -> Bool:
     """Which faces of sheets lie in the tissue; faces of the surface do not."""
     halves, face_facet = parts.faces.halves, parts.faces.facet
     surface_facets = len(parts.crossed)
     is_of_sheet = face_facet >= surface_facets
-    arc_halves, arc, which, is_backwards = _half_arcs(parts)
+    arc_halves, arc, which, is_backwards, outline, piece, _ = sides
     is_crossing = parts.arcs.facets[arc, 0] < surface_facets
     voting = is_crossing & (which == 1)
     faces = halves[arc_halves[voting], 1]
     votes = np.bincount(faces, np.where(is_backwards[voting], 1.0, -1.0), minlength=len(face_facet))
 
     # What hangs together on the sheets without crossing the surface lies on one side of it.
-    outline, piece, _ = _half_outlines(parts)
     own = is_of_sheet[halves[outline, 1]]
     keys = np.concatenate([2 * piece[own], 2 * arc[~is_crossing] + 1])
     members = np.concatenate([halves[outline[own], 1], halves[arc_halves[~is_crossing], 1]])
@@ -194,7 +198,7 @@ def _faces_inside(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement) ->
     return inside
 
 
-def _glued(mesh: SheetMesh, parts: Arrangement, face_is_wall: Bool) -> tuple[Int64, Int64]:
+def _glued(mesh: SheetMesh, parts: Arrangement, sides: _HalfEdges, face_is_wall: Bool) -> tuple[Int64, Int64]:
     """Set of each corner: of copy 0 of the half-edges, then of copy 1; and what each half-edge is glued to.
 
     Both of shape (2 half_count,).
@@ -203,9 +207,8 @@ def _glued(mesh: SheetMesh, parts: Arrangement, face_is_wall: Bool) -> tuple[Int
     half_count, surface_facets = len(halves), len(parts.crossed)
     is_of_sheet = parts.faces.facet[halves[:, 1]] >= surface_facets
     is_there = ~is_of_sheet | face_is_wall[halves[:, 1]]
-    arc_halves, arc, which, arc_backwards = _half_arcs(parts)
+    arc_halves, arc, which, arc_backwards, outline, piece, backwards = sides
     crosses_surface = parts.arcs.facets[arc, 0] < surface_facets
-    outline, piece, backwards = _half_outlines(parts)
     of_sheet = is_of_sheet[outline]
 
     rank, looks_back, looks_ahead, is_loose = _AROUND_ARC[
@@ -297,7 +300,10 @@ def _written(
     point, sample = points.number[corners.triangles.ravel()[rows]], rows // 3
     flat = np.zeros((len(used), 2))
     on_wall = is_wall[sample]
-    flat[on_wall] = _laid_out(mesh, points.places[point[on_wall]], facets[sample[on_wall]] - surface_facets)
+    laid = np.empty((int(on_wall.sum()), 2))
+    of_triangle = facets[sample[on_wall]] - surface_facets
+    lay_out(mesh.vertices / QUANTA, mesh.triangles, mesh.flat, points.places[point[on_wall]], of_triangle, laid)
+    flat[on_wall] = laid
     origin, sheet = np.full(len(facets), -1, np.int32), np.full(len(facets), -1, np.int32)
     origin[~is_wall] = parts.crossed[facets[~is_wall]]
     sheet[is_wall] = mesh.sheet[facets[is_wall] - surface_facets]
@@ -310,6 +316,8 @@ def _written(
     part_count = number_split_parts(
         surface.triangles, surface.patches, parts.crossed, triangles, weld, vertex_count, part
     )
+    facing = np.empty((len(facets), 3))
+    face_ways(parts.ints, facets, is_wall & (wall_side % 2 == 1), facing)
     split = SplitMesh(
         triangles=all_triangles,
         triangle_origin=all_origin,
@@ -321,23 +329,11 @@ def _written(
         new_on_weights=points.on_weights[point],
         new_flat=flat,
         uncut_triangles=surface.triangles,
-        facing=_facing(surface, mesh, parts, facets, wall_side),
+        facing=facing,
         triangle_part=part,
         crossed=parts.crossed,
     )
     return split if part_count <= 1 else _without_dust(split, np.where(is_wall, wall_side, -1), part_count)
-
-
-def _facing(surface: UncutSurface, mesh: SheetMesh, parts: Arrangement, facets: Int64, wall_side: Int64) -> Float64:
-    """Normals of triangles by their facets: a triangle may be too thin to have one."""
-    corners = np.concatenate([surface.vertices[surface.triangles[parts.crossed]], mesh.vertices[mesh.triangles]])
-    p, q, r = np.moveaxis(corners[facets], 1, 0)
-    normals = np.cross(q - p, r - p).astype(np.float64)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    is_back = (facets >= len(parts.crossed)) & (wall_side % 2 == 1)
-    facing: Float64 = np.where(is_back[:, None], -normals, normals)
-    return facing
 
 
 def _without_dust(split: SplitMesh, wall_side: Int64, part_count: int) -> SplitMesh:
@@ -407,10 +403,3 @@ def _points(surface: UncutSurface, parts: Arrangement, nodes: Int64, corners: Co
         np.concatenate([parts.on_surface, on_triangle]),
         np.concatenate([parts.surface_weights, weights]),
     )
-
-
-def _laid_out(mesh: SheetMesh, places: Float64, triangles: Int64) -> Float64:
-    """Places on a sheet laid out flat of points in triangles of it."""
-    shares = barycentric(mesh.vertices[mesh.triangles[triangles]] / QUANTA, places)
-    flat: Float64 = np.einsum("nc,ncx->nx", shares, mesh.flat[triangles])
-    return flat

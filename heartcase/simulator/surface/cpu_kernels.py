@@ -13,7 +13,7 @@ from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
 from heartcase.simulator.surface.formulas import make_vertex_math
 
-__all__ = ["EVERYTHING", "deform_vertices", "mark_moved", "move_at_rest", "node_normals", "place_nodes"]
+__all__ = ["EVERYTHING", "MOVED", "deform_vertices", "mark_moved", "move_at_rest", "node_normals", "place_nodes"]
 
 
 EVERYTHING: UInt8 = np.zeros(0, np.uint8)

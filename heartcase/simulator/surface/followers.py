@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Int32
+from heartcase.schemas.arrays import Float32, Int32, Int64
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.surface.cpu_kernels import mark_moved, node_normals
+from heartcase.simulator.surface.cpu_kernels import MOVED, mark_moved, node_normals
 from heartcase.simulator.surface.deform import (
     DeformedSurface,
     PickingModel,
@@ -53,6 +53,35 @@ class SurfaceFollower:
         self._before = np.zeros((model.node_count, 3), np.float32)
         self._marks = np.zeros(model.node_count, np.uint8)
         self._node_normal = empty_normals(surface.normals_of)
+        self._other: Int64 | None = None
+
+    def go_on_from(self, before: SurfaceFollower, uncut: SurfaceModel, node_count: int, other: Int64) -> None:
+        """Take over the last frame of a surface that was cut otherwise, so that only what differs is worked out.
+
+        Parameters
+        ----------
+        before
+            Shows a surface that was split from the same uncut one.
+        uncut, node_count
+            The uncut surface, and the number of nodes of its lattice, which have the same numbers in both.
+        other
+            Its vertices that follow their nodes otherwise in one of the two surfaces than in the uncut one.
+        """
+        last, count, drawn = before._frame, uncut.vertex_count, len(uncut.tangent)
+        if last is None or not (self.skips_unmoved and isinstance(self.surface, SurfaceModel)):
+            return
+        frame, normal_count = empty_frame(self.surface), len(uncut.normals_of.nodes)
+        frame.vertices_mm[:count], frame.normals[:count] = last.vertices_mm[:count], last.normals[:count]
+        if frame.tangents is not None and last.tangents is not None:
+            frame.tangents[:drawn] = last.tangents[:drawn]
+        self._before[:node_count] = before._before[:node_count]
+        self._node_normal[:normal_count] = before._node_normal[:normal_count]
+        # Where these nodes count as moved, all that may differ is worked out, and some that does not.
+        nodes = self.surface.triangle_nodes
+        is_other = np.zeros(len(self._marks), np.bool_)
+        is_other[nodes[other]] = is_other[nodes[count:]] = True
+        is_other[self.surface.normals_of.nodes[normal_count:]] = is_other[node_count:] = True
+        self._frame, self._other = frame, np.flatnonzero(is_other)
 
     def prepare(self) -> None:
         """Compile what will be needed."""
@@ -82,10 +111,14 @@ class SurfaceFollower:
         # Until this one is finished there is no frame: if it is interrupted, the next one is worked out whole.
         last, self._frame = self._frame, None
         moved_count = mark_moved(_bits(displacement), _bits(self._before), self._marks)
+        other, self._other = self._other, None
         if last is None or moved_count > SKIPPING_SHARE_MAX * self._model.node_count:
             frame = self._worked_out(displacement, together)
+        elif other is not None:
+            self._marks[other] = MOVED
+            frame = self._mended(last, displacement)
         else:
-            frame = self._mended(last, displacement) if moved_count else last
+            frame = self._mended(_copied(last), displacement) if moved_count else last
         for array in (frame.vertices_mm, frame.normals, frame.tangents):
             if array is not None:
                 array.flags.writeable = False
@@ -99,14 +132,17 @@ class SurfaceFollower:
         write_vertices(self._model, self.surface, self._node_normal, displacement, frame, together=together)
         return frame
 
-    def _mended(self, last: DeformedSurface, displacement: Float32) -> DeformedSurface:
-        """A copy of the last frame in which what changed is worked out again."""
-        tangents = None if last.tangents is None else last.tangents.copy()
-        frame = DeformedSurface(last.vertices_mm.copy(), last.normals.copy(), tangents)
+    def _mended(self, frame: DeformedSurface, displacement: Float32) -> DeformedSurface:
+        """A frame, what changed in it worked out again."""
         springs = self.surface.normals_of.springs
         node_normals(springs, displacement, self._node_normal, self._marks)
         write_vertices(self._model, self.surface, self._node_normal, displacement, frame, self._marks)
         return frame
+
+
+def _copied(frame: DeformedSurface) -> DeformedSurface:
+    tangents = None if frame.tangents is None else frame.tangents.copy()
+    return DeformedSurface(frame.vertices_mm.copy(), frame.normals.copy(), tangents)
 
 
 def _bits(displacement: Float32) -> Int32:

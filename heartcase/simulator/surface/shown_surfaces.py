@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from heartcase.schemas.arrays import Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.engine.backends import Backend, Engine
 from heartcase.simulator.lattice.model import LatticeModel
@@ -48,6 +49,17 @@ class ShownSurfaces:
             from heartcase.simulator.surface.cuda_surface import deform_on_device
 
             self._on_device = deform_on_device(model, surface, engine)
+
+    def go_on_from(self, before: ShownSurfaces, uncut: SurfaceModel, node_count: int, other: Int64) -> None:
+        """Take over what was shown of a surface that was cut otherwise.
+
+        Parameters
+        ----------
+        before, uncut, node_count, other
+            As of :meth:`heartcase.simulator.surface.followers.SurfaceFollower.go_on_from`.
+        """
+        if self._follower is not None and before._follower is not None:
+            self._follower.go_on_from(before._follower, uncut, node_count, other)
 
     def prepare(self) -> None:
         """Compile what will be needed."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,9 +13,11 @@ from heartcase.schemas.bundle.surface_kinds import SurfaceKind
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import part
+from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.splitting.free_parts import cut_picking, excise, parts_of_lattice, triangles_of_parts
 from heartcase.simulator.splitting.split_surface import CuttableSurface, split_surface
 from heartcase.simulator.surface.deform import deform, deform_picking
+from heartcase.simulator.surface.followers import SurfaceFollower
 from tests.simulator.splitting.surfaces import block, box, check_closed, check_ties, hung, plane, sheets, volume
 
 SHAPE = (3, 3, 2)
@@ -271,3 +275,45 @@ def test_vertices_that_lie_on_the_sheet_go_with_their_triangles(seed):
     across = ((moved[lips] - found.surface.rest_mm[lips]) @ normal) / model.cell_mm
     assert across.min() < -1.5
     assert across.max() > 1.5
+
+
+def assert_shown_whole(simulation):
+    now, wanted = simulation.surface_now(), deform(simulation.model, simulation.surface, simulation.state.displacement)
+    assert now.vertices_mm.tobytes() == wanted.vertices_mm.tobytes()
+    assert now.normals.tobytes() == wanted.normals.tobytes()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 999), st.booleans(), st.lists(st.booleans(), min_size=4, max_size=4))
+def test_what_is_shown_after_a_cut_is_what_is_worked_out_anew(seed, is_bent, moves):
+    """Whether tissue moved since the last frame or not, and after going back."""
+    rng = np.random.default_rng(seed)
+    simulation = Simulation(MODEL, surface=(BENT if is_bent else CUTTABLE).surface, tissue=TISSUE)
+    simulation.grab(MODEL.rest_positions_mm()[0], 4.0)
+    assert_shown_whole(simulation)
+    edge, points = rng.normal(0, 1.5, 3), []
+    ways = np.array(SHAPE) / 2 + np.cumsum(rng.normal(0, 0.7, (len(moves) + 1, 3)), axis=0)
+    for n, moves_on in enumerate(moves):
+        poses = ways[n : n + 2, None] + np.stack([-edge, edge])
+        points.append(simulation.snapshot())
+        simulation.cut(MODEL.geometry.index_to_world(poses.reshape(-1, 3) - 0.5).reshape(2, 2, 3), at_rest=True)
+        assert_shown_whole(simulation)
+        if moves_on:
+            simulation.lead(simulation.grabs[0], rng.normal(0, 1.0, 3))
+            simulation.step(2)
+            assert_shown_whole(simulation)
+    for n in (1, 3, 0):
+        simulation.restore(points[n])
+        assert_shown_whole(simulation)
+
+
+def test_a_vertex_that_hangs_otherwise_is_worked_out_again():
+    surface = CUTTABLE.surface
+    other = surface.offset.copy()
+    other[[3, 40]] += 0.5
+    moved = replace(surface, offset=other)
+    before, after = SurfaceFollower(MODEL, surface), SurfaceFollower(MODEL, moved)
+    displacement = bent(3)
+    before.now(displacement)
+    after.go_on_from(before, surface, MODEL.node_count, np.array([3, 40]))
+    assert after.now(displacement).vertices_mm.tobytes() == deform(MODEL, moved, displacement).vertices_mm.tobytes()
