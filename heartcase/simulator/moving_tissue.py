@@ -186,13 +186,17 @@ class MovingTissue:
     def prepare_cuts(self) -> None:
         """Compile what a cut needs, so that the first is as quick as the rest; nothing changes."""
         middle = self.model.node_index[self.model.cell_corners[0]].mean(axis=0)
-        points = middle + 0.4 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
-        # Where it meets no tissue, and as a second sheet, too.
-        moved = np.ones((self.model.node_count, 3), np.float32)
-        for there in (points, points + 1e3):
-            blade_at_rest(self.model, moved, there, None if self.cuts is None else self.cuts.parted)
-        made = self._cut_tissue(self.model, self.cuts or self.nothing_cut(), points, None)
-        self._cut_tissue(made.model, made.cuts, points, made.engine)
+        square = 2.4 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
+        # Sheets that go through tissue and cross each other, and one more that changes nothing.
+        ways = [square, square[..., [0, 2, 1]], square[..., [2, 0, 1]], square]
+        model, cuts, engine, state = self.model, self.cuts or self.nothing_cut(), None, self.state
+        for way in ways:
+            moved = np.ones((model.node_count, 3), np.float32)
+            # Where it meets no tissue, too.
+            for there in (middle + way, middle + way + 1e3):
+                blade_at_rest(model, moved, refined(there, "blade"), cuts.parted)
+            made = self._cut_tissue(model, cuts, middle + way, engine)
+            model, cuts, engine, state = made.model, made.cuts, made.engine, made.step.carried(state)
 
     def rest_poses_mm(self, poses_mm: Poses, *, name: str = "blade") -> Float64:
         """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
