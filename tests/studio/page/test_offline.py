@@ -147,7 +147,7 @@ def test_it_is_looked_at_cut_open_and_played(chromium, recorded):
     tab.goto(page.as_uri())
     tab.wait_for_selector(READY, timeout=60_000)
     assert [url for url in asked if not url.startswith(("blob:", "data:"))] == [page.as_uri()]
-    assert "No WebGPU" in tab.inner_text("#engine") or tab.evaluate("() => heartcase.engine !== null")
+    assert "no WebGPU" in tab.inner_text("#engine") or tab.evaluate("() => heartcase.engine !== null")
     assert_accessible(tab)
     # what is hidden is not hit; nor what lies before the plane
     middle = tab.evaluate("() => [heartcase.picture.camera.width / 2, heartcase.picture.camera.height / 2]")

@@ -141,7 +141,7 @@ def test_what_the_viewer_shows(chromium, site):
     with opened(chromium, (site / "site/cases/first.html").as_uri()) as (tab, faults):
         tab.wait_for_selector(VIEWER, timeout=60_000)
         tab.emulate_media(reduced_motion="reduce")
-        assert "No WebGPU" in tab.inner_text("#engine") or tab.evaluate("() => heartcase.engine !== null")
+        assert "no WebGPU" in tab.inner_text("#engine") or tab.evaluate("() => heartcase.engine !== null")
         seen = tab.evaluate(PIXELS)
         tab.click("#tab-view")
         assert faults == []
