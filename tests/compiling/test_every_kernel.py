@@ -138,6 +138,10 @@ def test_a_cut_parts_the_lattice(case):
     blade = [[(x - 60, y, z - 60), (x + 60, y, z - 60)], [(x - 60, y, z + 60), (x + 60, y, z + 60)]]
     parted = part(model.with_law(LAWS["element"]), [Sheet.swept(blade)], tissue)
     assert parted.model.node_count > model.node_count
+    # A sheet that ends inside: only where nothing was cut before is it parted like this.
+    middle = model.node_index[model.cell_corners[model.cell_count // 2]].mean(axis=0)
+    short = 2.4 * np.array([[[-1, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
+    assert part(model, [Sheet.swept(middle + short)], tissue).model.cell_count > model.cell_count
     across = [[(x, y - 60, z - 60), (x, y + 60, z - 60)], [(x, y - 60, z + 60), (x, y + 60, z + 60)]]
     sheets = [Sheet.swept(blade), Sheet.swept(across)]
     cuttable = CuttableSurface.of(model, case.surface)
