@@ -7,6 +7,7 @@ from math import pi, sqrt
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
+from heartcase.simulator.arrangement.merged_rows import order_rows
 
 __all__ = ["end_turns", "flat_corners", "lay_arcs", "list_on_edges", "meet_in_points", "order_on_edges", "place_nodes"]
 
@@ -78,19 +79,6 @@ def _normal(corners, normal):
     normal[0], normal[1], normal[2] = x, y, z
 
 
-@kernel(cached=False)
-def _comes_before(edges, moved, shares, one, other):
-    """Below, at or above 0 as a node comes before another along edges, in one place with it, or after it."""
-    if edges[one] != edges[other]:
-        return -1 if edges[one] < edges[other] else 1
-    if shares[one] != shares[other]:
-        return -1 if shares[one] < shares[other] else 1
-    for axis in (1, 2, 0):
-        if moved[one, axis] != moved[other, axis]:
-            return -1 if moved[one, axis] < moved[other, axis] else 1
-    return 0
-
-
 @kernel
 def order_on_edges(keys, first_node, arc_nodes, arc_facets, weights, corners, facet_edges, ints, edge_count, scale, at):
     """Say where each node is on the edge that it is on, and in which order they are along them.
@@ -154,23 +142,12 @@ def order_on_edges(keys, first_node, arc_nodes, arc_facets, weights, corners, fa
         if kind != 2 and along != 0.0:
             for axis in range(3):
                 moved[n, axis] = -normal[axis] / along if kind == 0 else normal[axis] / along
-    order, spare = np.arange(count), np.empty(count, np.int64)
-    width = 1
-    while width < count:
-        for start in range(0, count, 2 * width):
-            middle, stop = min(start + width, count), min(start + 2 * width, count)
-            one, other = start, middle
-            for n in range(start, stop):
-                if other >= stop or (
-                    one < middle and _comes_before(edges, moved, rounded, order[one], order[other]) <= 0
-                ):
-                    spare[n] = order[one]
-                    one += 1
-                else:
-                    spare[n] = order[other]
-                    other += 1
-        order, spare = spare, order
-        width *= 2
+    # Along edges; what is in one place of an edge goes by how it moves. Numbers of edges are whole in float64.
+    along_edges = np.empty((count, 5))
+    for n in range(count):
+        along_edges[n, 0], along_edges[n, 1] = edges[n], rounded[n]
+        along_edges[n, 2], along_edges[n, 3], along_edges[n, 4] = moved[n, 1], moved[n, 2], moved[n, 0]
+    order = order_rows(along_edges)
     is_tie = np.zeros(max(count - 1, 0), np.bool_)
     for n in range(count - 1):
         one, other = order[n], order[n + 1]

@@ -14,19 +14,12 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.simulator.arrangement.polygons import flip, triangulate, turn
+from heartcase.simulator.lattice.disjoint_sets import root_of
 
 __all__ = ["divide_facets"]
 
 _FLIPPED_MAX = 256
 """Triangles of a face up to which its edges are turned for better ones."""
-
-
-@kernel(cached=False)
-def _root(parents, one):
-    while parents[one] != one:
-        parents[one] = parents[parents[one]]
-        one = parents[one]
-    return one
 
 
 @kernel(cached=False)
@@ -154,7 +147,7 @@ def _hit(node, is_done, parents, half_count, origin, target, places):
     found, nearest = -1, np.inf
     for half in range(half_count):
         a, b = places[origin[half]], places[target[half]]
-        if not (a[1] <= here[1] < b[1]) or not is_done[_root(parents, origin[half])]:
+        if not (a[1] <= here[1] < b[1]) or not is_done[root_of(parents, origin[half])]:
             continue
         at = a[0] + (here[1] - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
         if at >= here[0] and at < nearest:
@@ -170,15 +163,15 @@ def _join_loose(node_count, boundary_count, half_count, origin, target, places, 
     """
     parents = np.arange(node_count)
     for half in range(half_count):
-        parents[_root(parents, origin[half])] = _root(parents, target[half])
+        parents[root_of(parents, origin[half])] = root_of(parents, target[half])
     is_done = np.zeros(node_count, np.bool_)
-    is_done[_root(parents, 0)] = True
+    is_done[root_of(parents, 0)] = True
     plain_count = half_count
     while True:
         # What reaches farthest along x comes first: whatever a ray from it comes to was joined before.
         node, most = -1, -np.inf
         for one in range(node_count):
-            if not is_done[_root(parents, one)] and places[one, 0] > most:
+            if not is_done[root_of(parents, one)] and places[one, 0] > most:
                 node, most = one, places[one, 0]
         if node < 0:
             return half_count
@@ -186,7 +179,7 @@ def _join_loose(node_count, boundary_count, half_count, origin, target, places, 
         cycle_count = _trace(half_count, following, cycle)
         seen = np.zeros(cycle_count, np.bool_)
         for half in range(plain_count):
-            if _root(parents, origin[half]) != _root(parents, node) or seen[cycle[half]]:
+            if root_of(parents, origin[half]) != root_of(parents, node) or seen[cycle[half]]:
                 continue
             seen[cycle[half]] = True
             turning = _turning(half, boundary_count, following, angle)
@@ -219,7 +212,7 @@ def _join_loose(node_count, boundary_count, half_count, origin, target, places, 
         joined[row, 0], joined[row, 1] = outside, there
         joined[row + 1, 0], joined[row + 1, 1] = inner, back
         half_count += 2
-        is_done[_root(parents, node)] = True
+        is_done[root_of(parents, node)] = True
 
 
 @kernel

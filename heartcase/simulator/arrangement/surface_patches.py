@@ -12,6 +12,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Int32, Int64
+from heartcase.simulator.lattice.disjoint_sets import join_two, root_of
 
 __all__ = ["Patches", "make_patches", "number_split_parts"]
 
@@ -29,24 +30,6 @@ class Patches(NamedTuple):
     """Where each patch begins in ``rims``, shape (patch_count + 1,)."""
     rims: Int32
     """Vertices of each patch that others have, too."""
-
-
-@kernel(cached=False)
-def _root(parents, one):
-    while parents[one] != one:
-        parents[one] = parents[parents[one]]
-        one = parents[one]
-    return one
-
-
-@kernel(cached=False)
-def _join(parents, one, other):
-    """The lowest member stands for both."""
-    one, other = _root(parents, one), _root(parents, other)
-    if one < other:
-        parents[other] = one
-    else:
-        parents[one] = other
 
 
 @kernel
@@ -69,7 +52,7 @@ def _patch_triangles(vertices, triangles, shift, of_triangle):
                     and here[1] >> shift == other[1] >> shift
                     and here[2] >> shift == other[2] >> shift
                 ):
-                    _join(parents, one, at // 3)
+                    join_two(parents, one, at // 3)
                 at = before[at // 3, at % 3]
     patch_count = 0
     for one in range(count):
@@ -77,7 +60,7 @@ def _patch_triangles(vertices, triangles, shift, of_triangle):
             of_triangle[one] = patch_count
             patch_count += 1
         else:
-            of_triangle[one] = of_triangle[_root(parents, one)]
+            of_triangle[one] = of_triangle[root_of(parents, one)]
     return patch_count
 
 
@@ -158,7 +141,7 @@ def number_split_parts(triangles, patches, crossed, added, weld, old_count, part
     for patch in range(patch_count):
         if not is_touched[patch]:
             for n in range(patches.rim_first[patch], patches.rim_first[patch + 1]):
-                _join(parents, vertex_count + patch, np.int64(patches.rims[n]))
+                join_two(parents, vertex_count + patch, np.int64(patches.rims[n]))
     is_crossed = np.zeros(len(triangles), np.bool_)
     for one in crossed:
         is_crossed[one] = True
@@ -167,28 +150,28 @@ def number_split_parts(triangles, patches, crossed, added, weld, old_count, part
             for n in range(patches.first[patch], patches.first[patch + 1]):
                 one = patches.members[n]
                 if not is_crossed[one]:
-                    _join(parents, triangles[one, 0], triangles[one, 1])
-                    _join(parents, triangles[one, 0], triangles[one, 2])
+                    join_two(parents, triangles[one, 0], triangles[one, 1])
+                    join_two(parents, triangles[one, 0], triangles[one, 2])
     for n in range(len(added)):
         one = _welded(added[n, 0], weld, old_count)
-        _join(parents, one, _welded(added[n, 1], weld, old_count))
-        _join(parents, one, _welded(added[n, 2], weld, old_count))
+        join_two(parents, one, _welded(added[n, 1], weld, old_count))
+        join_two(parents, one, _welded(added[n, 2], weld, old_count))
     # One part alone is the rule.
     whole, is_one = -1, True
     for patch in range(patch_count):
         if not is_touched[patch]:
-            root = _root(parents, vertex_count + patch)
+            root = root_of(parents, vertex_count + patch)
             is_one = is_one and (whole < 0 or root == whole)
             whole = root
             continue
         for n in range(patches.first[patch], patches.first[patch + 1]):
             one = patches.members[n]
             if not is_crossed[one]:
-                root = _root(parents, triangles[one, 0])
+                root = root_of(parents, triangles[one, 0])
                 is_one = is_one and (whole < 0 or root == whole)
                 whole = root
     for n in range(len(added)):
-        root = _root(parents, _welded(added[n, 0], weld, old_count))
+        root = root_of(parents, _welded(added[n, 0], weld, old_count))
         is_one = is_one and (whole < 0 or root == whole)
         whole = root
     if is_one:
@@ -200,14 +183,14 @@ def number_split_parts(triangles, patches, crossed, added, weld, old_count, part
         if is_crossed[one]:
             continue
         patch = patches.of_triangle[one]
-        root = _root(parents, triangles[one, 0] if is_touched[patch] else vertex_count + patch)
+        root = root_of(parents, triangles[one, 0] if is_touched[patch] else vertex_count + patch)
         if numbers[root] < 0:
             numbers[root] = count
             count += 1
         part[at] = numbers[root]
         at += 1
     for n in range(len(added)):
-        root = _root(parents, _welded(added[n, 0], weld, old_count))
+        root = root_of(parents, _welded(added[n, 0], weld, old_count))
         if numbers[root] < 0:
             numbers[root] = count
             count += 1

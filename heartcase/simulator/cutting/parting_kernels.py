@@ -5,40 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.cutting.crossings import SAMPLES
+from heartcase.simulator.cutting.bits.shares import add_sample
 
-__all__ = ["add_up_samples", "merge_springs", "nearest_of_each", "spring_places", "tissue_in_cells"]
-
-_OFFSET = 1 << 20
-
-
-@kernel
-def tissue_in_cells(entries, cells, is_tissue):
-    """Write which samples of some cells lie in the tissue.
-
-    A sample is inside where the surface was crossed an odd number of times on its row before it.
-
-    Parameters
-    ----------
-    entries
-        Keys of the links along x that the surface crosses, ascending.
-    cells
-        Index (i, j, k) of each cell, shape (count, 3).
-    is_tissue
-        Shape (count, SAMPLES^3), written.
-    """
-    for number in range(len(cells)):
-        i, j, k = cells[number, 0], cells[number, 1], cells[number, 2]
-        for row in range(SAMPLES * SAMPLES):
-            sample_j, sample_k = SAMPLES * j + row % SAMPLES, SAMPLES * k + row // SAMPLES
-            start = ((np.int64(sample_k) + _OFFSET) << 42) | ((np.int64(sample_j) + _OFFSET) << 21)
-            first = np.searchsorted(entries, start)
-            key = start | (np.int64(SAMPLES * i) + _OFFSET)
-            at = np.searchsorted(entries, key)
-            for sample in range(SAMPLES):
-                while at < len(entries) and entries[at] < key + sample:
-                    at += 1
-                is_tissue[number, SAMPLES * row + sample] = (at - first) % 2 == 1
+__all__ = ["add_up_samples", "merge_springs", "nearest_of_each", "spring_places"]
 
 
 @kernel
@@ -63,17 +32,8 @@ def add_up_samples(samples, first, places, spread, sizes, sums):
             if samples[row, sample] < 0:
                 continue
             piece = first[row] + samples[row, sample]
-            x, y, z = places[sample, 0], places[sample, 1], places[sample, 2]
             sizes[piece] += 1
-            sums[piece, 0] += x
-            sums[piece, 1] += y
-            sums[piece, 2] += z
-            sums[piece, 3] += x * x + spread
-            sums[piece, 4] += y * y + spread
-            sums[piece, 5] += z * z + spread
-            sums[piece, 6] += y * z
-            sums[piece, 7] += x * z
-            sums[piece, 8] += x * y
+            add_sample(places, sample, spread, sums, piece)
 
 
 @kernel

@@ -9,6 +9,7 @@ import numpy as np
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Bool, Int32, Int64
 from heartcase.simulator.cutting.crossings import SAMPLES
+from heartcase.simulator.lattice.disjoint_sets import join_two, root_of
 
 __all__ = [
     "SAMPLE_COUNT",
@@ -53,29 +54,11 @@ class Labels(NamedTuple):
     """Shape (count,)."""
 
 
-@kernel(cached=False)
-def _root(parents, one):
-    while parents[one] != one:
-        parents[one] = parents[parents[one]]
-        one = parents[one]
-    return one
-
-
-@kernel(cached=False)
-def _join(parents, one, other):
-    """Join two sets; the lowest member stands for both."""
-    one, other = _root(parents, one), _root(parents, other)
-    if one < other:
-        parents[other] = one
-    else:
-        parents[one] = other
-
-
 @kernel
 def flatten(parents):
     """Let each member know its set."""
     for one in range(len(parents)):
-        parents[one] = _root(parents, one)
+        parents[one] = root_of(parents, one)
 
 
 @kernel
@@ -103,12 +86,12 @@ def label_all(is_tissue, is_crossed, is_touched, piece, piece_count, space, spac
                 there = sample + stride
                 both = tissue[sample] and tissue[there]
                 if both:
-                    _join(whole, sample, there)
+                    join_two(whole, sample, there)
                 if is_crossed[place, axis, sample]:
                     continue
-                _join(around, sample, there)
+                join_two(around, sample, there)
                 if both:
-                    _join(parted, sample, there)
+                    join_two(parted, sample, there)
             stride *= SAMPLES
         flatten(whole)
         flatten(parted)
@@ -130,7 +113,7 @@ def label_all(is_tissue, is_crossed, is_touched, piece, piece_count, space, spac
                 continue
             main = largest[around[sample]]
             if whole[main] != whole[sample] and _is_largest(sample, size, around, whole):
-                _join(parted, main, sample)
+                join_two(parted, main, sample)
         piece_count[place] = _number(parted, tissue, piece[place])
         space_count[place] = _number(around, np.ones(SAMPLE_COUNT, np.bool_), space[place])
 
@@ -151,7 +134,7 @@ def _number(parents, is_counted, number):
     count = 0
     for sample in range(SAMPLE_COUNT):
         if is_counted[sample]:
-            root = _root(parents, sample)
+            root = root_of(parents, sample)
             if root == sample:
                 number[sample] = count
                 count += 1
@@ -178,14 +161,14 @@ def join_across_faces(pairs, axis, block, labels, first_piece, first_space, uses
                     continue
                 beyond = corner ^ (1 << axis)
                 if both:
-                    _join(uses_before, 8 * one + corner, 8 * other + beyond)
+                    join_two(uses_before, 8 * one + corner, 8 * other + beyond)
                 if is_crossed:
                     continue
                 here = 8 * (first_space[one] + labels.space[one, sample]) + corner
-                _join(uses_space, here, 8 * (first_space[other] + labels.space[other, there]) + beyond)
+                join_two(uses_space, here, 8 * (first_space[other] + labels.space[other, there]) + beyond)
                 if both:
                     here = 8 * (first_piece[one] + labels.piece[one, sample]) + corner
-                    _join(uses, here, 8 * (first_piece[other] + labels.piece[other, there]) + beyond)
+                    join_two(uses, here, 8 * (first_piece[other] + labels.piece[other, there]) + beyond)
 
 
 @kernel

@@ -13,7 +13,6 @@ from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.simulator.cutting.bits.touched import tissue_bits
 from heartcase.simulator.cutting.blade_sheet import crossed_links
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES
-from heartcase.simulator.cutting.parting_kernels import tissue_in_cells
 
 __all__ = ["SAMPLE_PLACES", "SAMPLE_VARIANCE", "TissueSamples", "samples_of"]
 
@@ -66,12 +65,8 @@ class TissueSamples:
         moments
             Of the tissue in each, as of :class:`heartcase.simulator.lattice.model.LatticeModel`, shape (count, 9).
         """
-        if self.entries is None:
-            return np.ones((len(cells), SAMPLES**3), np.bool_)
-        is_tissue = np.empty((len(cells), SAMPLES**3), np.bool_)
-        tissue_in_cells(self.entries, cells, is_tissue)
-        empty = np.flatnonzero(~is_tissue.any(axis=1))
-        is_tissue[empty, _nearest_samples(moments, empty)] = True
+        rows = self.bits_of(cells, moments).astype("<i8").view(np.uint8)
+        is_tissue: Bool = np.unpackbits(rows, axis=1, bitorder="little").view(np.bool_)
         return is_tissue
 
     def bits_of(self, cells: Int32, moments: npt.ArrayLike) -> Int64:

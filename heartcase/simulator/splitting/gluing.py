@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
+from heartcase.simulator.lattice.disjoint_sets import join_two, root_of
 
 __all__ = [
     "glue_around",
@@ -22,31 +23,13 @@ __all__ = [
 ]
 
 
-@kernel(cached=False)
-def _root(parents, one):
-    while parents[one] != one:
-        parents[one] = parents[parents[one]]
-        one = parents[one]
-    return one
-
-
-@kernel(cached=False)
-def _join(parents, one, other):
-    """The lowest member stands for both."""
-    one, other = _root(parents, one), _root(parents, other)
-    if one < other:
-        parents[other] = one
-    else:
-        parents[one] = other
-
-
 @kernel
 def join_sets(parents, pairs):
     """Join the sets of pairs of members, and let each member know its set."""
     for n in range(len(pairs)):
-        _join(parents, pairs[n, 0], pairs[n, 1])
+        join_two(parents, pairs[n, 0], pairs[n, 1])
     for one in range(len(parents)):
-        parents[one] = _root(parents, one)
+        parents[one] = root_of(parents, one)
 
 
 @kernel
@@ -78,11 +61,11 @@ def glue_around(first, is_circle, halves, backwards, copies, following, parents,
             start_a, end_a = of_a + a, of_a + following[a]
             start_b, end_b = of_b + b, of_b + following[b]
             if backwards[one] == backwards[other]:
-                _join(parents, start_a, start_b)
-                _join(parents, end_a, end_b)
+                join_two(parents, start_a, start_b)
+                join_two(parents, end_a, end_b)
             else:
-                _join(parents, start_a, end_b)
-                _join(parents, end_a, start_b)
+                join_two(parents, start_a, end_b)
+                join_two(parents, end_a, start_b)
 
 
 @kernel
@@ -91,12 +74,12 @@ def number_parts(triangles, vertex_count):
     parents = np.arange(vertex_count)
     for n in range(len(triangles)):
         for corner in range(1, triangles.shape[1]):
-            _join(parents, triangles[n, 0], triangles[n, corner])
+            join_two(parents, triangles[n, 0], triangles[n, corner])
     numbers = np.full(vertex_count, -1, np.int32)
     part = np.empty(len(triangles), np.int32)
     count = 0
     for n in range(len(triangles)):
-        root = _root(parents, triangles[n, 0])
+        root = root_of(parents, triangles[n, 0])
         if numbers[root] < 0:
             numbers[root] = count
             count += 1

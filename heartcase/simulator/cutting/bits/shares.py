@@ -7,7 +7,30 @@ import numpy as np
 from heartcase.compiling.kernel import kernel
 from heartcase.simulator.cutting.bits.rows import cell_of, set_of
 
-__all__ = ["merge_near_springs", "near_rows", "near_springs", "share_cells", "share_masses", "write_corners"]
+__all__ = [
+    "add_sample",
+    "merge_near_springs",
+    "near_rows",
+    "near_springs",
+    "share_cells",
+    "share_masses",
+    "write_corners",
+]
+
+
+@kernel(cached=False)
+def add_sample(places, sample, spread, sums, piece):
+    """Add x, y, z, xx, yy, zz, yz, xz, xy of a sample to the sums of a piece."""
+    x, y, z = places[sample, 0], places[sample, 1], places[sample, 2]
+    sums[piece, 0] += x
+    sums[piece, 1] += y
+    sums[piece, 2] += z
+    sums[piece, 3] += x * x + spread
+    sums[piece, 4] += y * y + spread
+    sums[piece, 5] += z * z + spread
+    sums[piece, 6] += y * z
+    sums[piece, 7] += x * z
+    sums[piece, 8] += x * y
 
 
 @kernel
@@ -88,17 +111,8 @@ def share_cells(
             for sample in range(512):
                 if not found[sample // 64] >> (sample % 64) & 1:
                     continue
-                x, y, z = places[sample, 0], places[sample, 1], places[sample, 2]
                 sizes[piece] += 1
-                sums[piece, 0] += x
-                sums[piece, 1] += y
-                sums[piece, 2] += z
-                sums[piece, 3] += x * x + spread
-                sums[piece, 4] += y * y + spread
-                sums[piece, 5] += z * z + spread
-                sums[piece, 6] += y * z
-                sums[piece, 7] += x * z
-                sums[piece, 8] += x * y
+                add_sample(places, sample, spread, sums, piece)
             size += sizes[piece]
             for number in range(9):
                 whole[number] += sums[piece, number]

@@ -10,6 +10,7 @@ from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Int32, Int64
 from heartcase.simulator.cutting.bits.sample_bits import count, first_sample, is_any, meets_across
 from heartcase.simulator.cutting.bits.touched import next_places
+from heartcase.simulator.lattice.disjoint_sets import join_two, root_of
 
 __all__ = ["Around", "Stemmed", "share_nodes", "with_stems"]
 
@@ -43,19 +44,6 @@ class Stemmed(NamedTuple):
 
 
 @kernel(cached=False)
-def _root(parents, one):
-    while parents[one] != one:
-        one = parents[one]
-    return one
-
-
-@kernel(cached=False)
-def _join(parents, one, other):
-    one, other = _root(parents, one), _root(parents, other)
-    parents[max(one, other)] = min(one, other)
-
-
-@kernel(cached=False)
 def _join_around(places, around, rows, cells, first, first_space, uses, before, spaces):
     """Join what hangs together of the pieces, places and parts of space at the eight places around a node."""
     nothing, everything = np.zeros(8, np.int64), np.full(8, -1, np.int64)
@@ -69,7 +57,7 @@ def _join_around(places, around, rows, cells, first, first_space, uses, before, 
             closed = nothing if row < 0 else places.closed[row, axis]
             has_both = cells[slot] >= 0 and cells[there] >= 0
             if has_both and meets_across(around.tissue[cells[slot]], around.tissue[cells[there]], nothing, axis):
-                _join(before, slot, there)
+                join_two(before, slot, there)
                 for a in range(first[slot], first[slot + 1]):
                     one = around.tissue[cells[slot]]
                     if row >= 0:
@@ -79,7 +67,7 @@ def _join_around(places, around, rows, cells, first, first_space, uses, before, 
                         if other >= 0:
                             two = places.pieces[places.first_piece[other] + b - first[there]]
                         if meets_across(one, two, closed, axis):
-                            _join(uses, a, b)
+                            join_two(uses, a, b)
             for a in range(first_space[slot], first_space[slot + 1]):
                 one = everything if row < 0 else places.spaces[places.first_space[row] + a - first_space[slot]]
                 for b in range(first_space[there], first_space[there + 1]):
@@ -87,7 +75,7 @@ def _join_around(places, around, rows, cells, first, first_space, uses, before, 
                     if other >= 0:
                         two = places.spaces[places.first_space[other] + b - first_space[there]]
                     if meets_across(one, two, closed, axis):
-                        _join(spaces, a, b)
+                        join_two(spaces, a, b)
 
 
 @kernel(cached=False)
@@ -220,9 +208,9 @@ def share_nodes(places, known, of_known, is_changed, around, near, near_rows, ne
                 piece = around.tissue[cells[slot]]
                 if rows[slot] >= 0:
                     piece = places.pieces[places.first_piece[rows[slot]] + use - first[slot]]
-                sets[use], held[use] = _root(uses, use), _root(before, slot)
+                sets[use], held[use] = root_of(uses, use), root_of(before, slot)
                 sizes[use] = count(piece)
-                space[use] = _root(joined, _space_of(places, rows[slot], first_space[slot], piece))
+                space[use] = root_of(joined, _space_of(places, rows[slot], first_space[slot], piece))
         numbers = np.empty(first[8], np.int64)
         _number(sets, held, space, sizes, numbers)
         for slot in range(8):
