@@ -22,6 +22,7 @@ from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.cutting.pieces import Pieces
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.splitting.gluing import number_parts
+from heartcase.simulator.splitting.hiding_sheets import SheetBuckets, lay_planes
 from heartcase.simulator.splitting.near_sheets import (
     add_ways_near,
     add_ways_to_middles,
@@ -35,9 +36,7 @@ from heartcase.simulator.splitting.seen_pieces import (
     Answers,
     CellsByIndex,
     PieceCells,
-    SheetBuckets,
     index_answers,
-    lay_planes,
     mark_changes,
     nearest_halves,
     see_pieces,

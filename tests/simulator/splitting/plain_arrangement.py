@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 
+from heartcase.simulator.arrangement import sheet_crossings
 from heartcase.simulator.arrangement.exact_ties import is_in_all_three, is_nearer
 from heartcase.simulator.arrangement.facet_graphs import divide_facets
-from heartcase.simulator.arrangement.sheet_crossings import Arcs, _candidates, _divided, _in_order, _Points
+from heartcase.simulator.arrangement.sheet_crossings import Arcs, _Points
 from heartcase.simulator.arrangement.sheet_mesh import SheetMesh
 from heartcase.simulator.cutting.crossings import QUANTA
 
@@ -72,7 +75,9 @@ def plain_arrangement(surface, crossing):
         surface, mesh, crossed, arcs, keys, (corners, facet_edges, facet_forward)
     )
     ints = np.concatenate([surface.vertices[surface.triangles[crossed]], mesh.vertices[mesh.triangles]])
-    arcs, point_count = plain_cross_points(ints, corners, arcs, first_sheet, vertex_count + sheet_count + len(keys))
+    with mock.patch.object(sheet_crossings, "_points", _points):
+        made_from = vertex_count + sheet_count + len(keys)
+        arcs, point_count = sheet_crossings.cross_points(ints, corners, arcs, first_sheet, made_from)
     flat = _flat_corners(surface, mesh, crossed)
     arc_lists, faces = _faces(surface, mesh, crossed, arcs, corners, flat, (edge_first, edge_nodes, edge_shares))
     node_places = _node_places(surface, mesh, crossed, arcs, len(keys) + point_count)
@@ -250,43 +255,6 @@ def _node_places(surface, mesh, crossed, arcs, end_count):
     at = np.flatnonzero(on_surface >= 0)
     places[at] = np.einsum("ac,acx->ax", weights[at], surface.places[surface.triangles[on_surface[at]]])
     return places, on_surface, weights
-
-
-def plain_cross_points(corners, numbers, arcs, surface_facets, first_node):
-    """Divide arcs where others cross them.
-
-    Parameters
-    ----------
-    corners, numbers
-        Whole-number places of the corners of all facets, shape (facet_count, 3, 3), and their nodes.
-    arcs
-        Arcs; those that cross the surface first, each kind by its facets.
-    surface_facets
-        Number of facets of the surface, which come first.
-    first_node
-        Number of the first node that is made.
-
-    Returns
-    -------
-    arcs, count
-        What they are divided into, and how many nodes were made.
-    """
-    is_between = arcs.facets[:, 0] >= surface_facets
-    between = np.flatnonzero(is_between)
-    if not len(between):
-        return arcs, 0
-    first_between = int(between[0])
-    on_surface = _candidates(arcs.facets, between, np.arange(first_between), first_of_third=True)
-    of_sheets = _candidates(arcs.facets, between, between, first_of_third=False)
-    points = [_points(corners, numbers, arcs, triple, surface_facets) for triple in (on_surface, of_sheets)]
-    found = _Points(*(np.concatenate(both) for both in zip(*points, strict=True)))
-    if not len(found.arcs):
-        return arcs, 0
-    arc, point = _in_order(corners, numbers, arcs, found, surface_facets)
-    is_second = found.arcs[point, 2] == arc
-    turn = np.where(is_second, found.turns[point], np.where(np.isnan(found.turns[point]), np.nan, 0.0))
-    turn[found.arcs[point, 0] == arc] = np.nan
-    return _divided(corners, arcs, arc, point, turn, found.places, first_node), len(found.arcs)
 
 
 def _points(corners, numbers, arcs, triples, surface_facets):
