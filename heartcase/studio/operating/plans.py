@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import signal
 import threading
@@ -21,6 +20,7 @@ from heartcase.simulator.beside.recorded_figures import figures_of_recording
 from heartcase.simulator.incisions.figures import ranked
 from heartcase.simulator.load import load_case
 from heartcase.studio.messages import text_message
+from heartcase.studio.operating.beside import Beside
 from heartcase.studio.operating.live_figures import finite, told_figures
 
 __all__ = ["NEAREST_LEAST_MM", "ComparedPlans"]
@@ -31,7 +31,6 @@ REACHES = True
 """Whether the reach of the tip is worked out, which takes most of the time."""
 _ENDED = "what works out figures has ended: compare again"
 _NICE = 10
-_END_S = 2.0
 
 Found = LiveFigures | tuple[Problem, ...]
 
@@ -55,8 +54,7 @@ class ComparedPlans:
         self._known: dict[str, tuple[object, Found]] = {}
         self._is_working = False
         self._lock = threading.Lock()
-        self._process: Any = None
-        self._thread: threading.Thread | None = None
+        self._beside = Beside("plans")
 
     def compare(self, names: Sequence[str]) -> None:
         """Compare these recordings; what is known already is not worked out again."""
@@ -67,25 +65,12 @@ class ComparedPlans:
             wanted = [name for name in self._names if name not in self._known]
             self._is_working = bool(wanted)
         if wanted:
-            context = multiprocessing.get_context("spawn")
-            line, its_line = context.Pipe()
-            self._process = context.Process(
-                target=_serve, args=(its_line, str(self._case), REACHES), daemon=True, name="heartcase-plans"
-            )
-            self._process.start()
-            its_line.close()
-            self._thread = threading.Thread(target=self._run, args=(line, wanted), name="plans", daemon=True)
-            self._thread.start()
+            self._beside.start(_serve, str(self._case), REACHES, talk=lambda line: self._run(line, wanted))
         self._heard()
 
     def close(self) -> None:
         """Leave what is being worked out."""
-        process, thread, self._process, self._thread = self._process, self._thread, None, None
-        if process is not None:
-            process.terminate()
-            process.join(_END_S)
-        if thread is not None:
-            thread.join()
+        self._beside.end()
         with self._lock:
             self._is_working = False
 
@@ -134,8 +119,7 @@ class ComparedPlans:
                 with self._lock:
                     self._known[name] = state, answer
                 self._heard()
-        line.close()
-        if self._thread is not threading.current_thread():
+        if self._beside.is_left:
             # it was left for another comparison, or for good
             return
         with self._lock:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 
 from heartcase.studio.offline.exported import fitting_page_of, page_of
 from heartcase.studio.operating.saved_page import SavedPage
@@ -47,6 +48,19 @@ def test_a_case_is_saved_as_the_command_exports_it(recorded):  # noqa: F811
         assert lost["problems"]
         assert str(path.parent) not in json.dumps(lost)
         assert not (path.parent / "hollow-3.html").exists()
+
+
+def test_a_page_that_cannot_be_written_is_told(recorded, tmp_path):  # noqa: F811
+    path, _ = recorded
+    heard = threading.Event()
+    saved = SavedPage(
+        path, tmp_path / "none", fitting_page_of, lambda: saved.facts["state"] != "working" and heard.set()
+    )
+    saved.save([])
+    assert heard.wait(120.0)
+    assert saved.facts["state"] == "failed"
+    assert saved.facts["problems"] == [{"place": "page", "message": "it cannot be written: No such file or directory"}]
+    saved.close()
 
 
 def test_what_is_left_on_the_way_is_neither_told_nor_there(recorded):  # noqa: F811
