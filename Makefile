@@ -118,6 +118,7 @@ gpu: $(if $(filter file,$(origin GPU_PYTHON)),$(VENV)-gpu/installed)
 	mkdir -p $(GPU_OUT)
 	$(GPU_PYTHON) -m tests.parity.gpu
 	$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider --durations 10 -m 'not slow and not versions' -k 'cuda or gpu' tests/parity tests/simulator/instruments/test_hands.py \
+	  tests/simulator/instruments/test_probe_contact.py tests/simulator/patching/test_patches.py \
 	  tests/simulator/test_simulation.py tests/simulator/lattice/test_strain_sharing.py tests/stress/test_violence_other_backends.py
 	$(GPU_PYTHON) -m benchmarks engine-gpu frame-adult-gpu --json $(GPU_OUT)/bench.json
 

@@ -46,6 +46,8 @@ class PlainCells:
     cell_lane: np.ndarray
     cell_slot: np.ndarray
     window_rows: np.ndarray
+    in_pairs: np.ndarray
+    ghost_window: int
     touches: np.ndarray
     ghost_lane: np.ndarray
 
@@ -111,11 +113,11 @@ def plain_lane_layout(model, *, in_banks=False):
         vote_for_rows(model, node_lane, layout.node_slot, near, window_rows, layout.lane_count)
         layout = replace(layout, is_near_copies=is_near[window])
         irregular = irregular_cells(model, layout)
-        ghost_blocks = np.full(-(-len(irregular) // lanes.GHOST_CELLS), len(lanes.GHOST_ROWS))
-        room = capacity if in_banks else capacity + (len(lanes.GHOST_ROWS) + 1) * len(ghost_blocks)
+        ghost_blocks = np.full(-(-len(irregular) // lanes.GHOST_CELLS), len(lanes.CORNER_ROWS))
+        room = capacity if in_banks else capacity + (len(lanes.CORNER_ROWS) + 1) * len(ghost_blocks)
         ghost_start = lanes._run_starts(np.concatenate([block_counts, ghost_blocks]), room)[len(block_counts) :]
         if len(irregular):
-            last = int(ghost_start[-1]) + LANE_COUNT * (len(lanes.GHOST_ROWS) + 1)
+            last = int(ghost_start[-1]) + LANE_COUNT * (len(lanes.CORNER_ROWS) + 1)
             layout = replace(layout, lane_count=last, irregular_cells=irregular, ghost_start=ghost_start)
     return replace(layout, stride=lanes.BANK_LANES if in_banks else layout.lane_count)
 
@@ -135,28 +137,51 @@ def plain_cell_layout(model, layout):
     """Lay out the cells of a lattice in the lanes of its nodes."""
     irregular = layout.irregular_cells
     regular = np.delete(np.arange(model.cell_count), irregular)
-    windows = layout.node_slot[model.cell_corners] // LANE_COUNT
-    held, number = np.unique(windows[regular, 0], return_inverse=True)
-    window_of_cell = np.empty(model.cell_count, np.int64)
-    window_of_cell[regular] = number
-    place = np.arange(len(irregular))
-    window_of_cell[irregular] = len(held) + place // lanes.GHOST_CELLS
+    slots = layout.node_slot[model.cell_corners]
+    own = slots[regular, 0] // LANE_COUNT
+    # Parts of windows of nodes, by kind: those that are pairs, others; each a place in a window of cells and its rows.
+    part_of, first_of, parts, in_pairs, filled = {}, {}, [], [], {True: 4, False: 4}
+    open_window = {}
+    for window in np.unique(own).tolist():
+        places = slots[regular, 0][own == window] % LANE_COUNT
+        is_pair = bool(np.ptp(places) >= lanes.PART_LANES)
+        if filled[is_pair] == lanes.CELL_PARTS:
+            open_window[is_pair], filled[is_pair] = len(in_pairs), 0
+            in_pairs.append(is_pair)
+            parts.append([None] * lanes.CELL_PARTS)
+        first = 0 if is_pair else min(int(places.min()), lanes.PART_LANES)
+        part_of[window] = lanes.CELL_PARTS * open_window[is_pair] + filled[is_pair]
+        first_of[window] = first
+        for shift in (first, first + lanes.PART_LANES)[: 1 + is_pair]:
+            parts[open_window[is_pair]][filled[is_pair]] = layout.window_rows[window, lanes.CORNER_ROWS] + shift
+            filled[is_pair] += 1
+    ghost_window = len(in_pairs)
+    blocks = [start + LANE_COUNT * np.arange(4) + shift for start in layout.ghost_start for shift in (0, 4)]
+    for first in range(0, len(blocks), lanes.CELL_PARTS):
+        these = blocks[first : first + lanes.CELL_PARTS]
+        parts.append(these + [None] * (lanes.CELL_PARTS - len(these)))
+        in_pairs.append(True)
+    empty = np.full(4, lanes.EMPTY_START)
+    rows = np.array([np.concatenate([empty if part is None else part for part in each]) for each in parts])
+
     cell_lane = layout.node_lane[model.cell_corners[:, 0]]
-    cell_lane[irregular] = layout.ghost_start[place // lanes.GHOST_CELLS] + 2 * (place % lanes.GHOST_CELLS)
+    cell_slot = np.empty(model.cell_count, np.int64)
+    for cell, window in zip(regular.tolist(), own.tolist(), strict=True):
+        cell_slot[cell] = lanes.PART_LANES * part_of[window] + slots[cell, 0] % LANE_COUNT - first_of[window]
+    place = np.arange(len(irregular))
+    behind = 2 * (place % lanes.GHOST_CELLS)
+    cell_lane[irregular] = layout.ghost_start[place // lanes.GHOST_CELLS] + behind
+    cell_slot[irregular] = lanes.CELL_LANES * ghost_window + LANE_COUNT * (place // lanes.GHOST_CELLS) + behind
     offset = CORNER_OFFSETS.astype(np.int64)
     ghost_lane = cell_lane[irregular, None] + offset[:, 0] + LANE_COUNT * (offset[:, 1] + 2 * offset[:, 2])
-    ghost_rows = np.full((len(layout.ghost_start), len(ROWS)), lanes.EMPTY_START)
-    ghost_rows[:, lanes.GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(lanes.GHOST_ROWS))
 
-    pairs = distinct_keys((window_of_cell[:, None] * len(layout.window_rows) + windows).ravel())
-    here, there = pairs // len(layout.window_rows), pairs % len(layout.window_rows)
+    window_of_cell, window_count = cell_slot // lanes.CELL_LANES, len(layout.window_rows)
+    pairs = distinct_keys((window_of_cell[:, None] * window_count + slots // LANE_COUNT).ravel())
+    here, there = pairs // window_count, pairs % window_count
     place = np.arange(len(pairs)) - np.searchsorted(here, here)
-    touches = np.full((len(held) + len(ghost_rows), max(8, int(place.max()) + 1)), -1, np.int64)
+    touches = np.full((len(rows), max(8, int(place.max()) + 1)), -1, np.int64)
     touches[here, place] = there
-    rows = np.concatenate([layout.window_rows[held], ghost_rows])
-    # The middle one of a window's rows is its own.
-    cell_slot = LANE_COUNT * window_of_cell + cell_lane - rows[window_of_cell, 4]
-    return PlainCells(cell_lane, cell_slot, rows, touches, ghost_lane)
+    return PlainCells(cell_lane, cell_slot, rows, np.array(in_pairs, np.int8), ghost_window, touches, ghost_lane)
 
 
 def plain_irregular_springs(model, lookup):
@@ -206,8 +231,8 @@ def plain_window_numbers(model, layout):
 
 def plain_by_window(cells, values):
     """Numbers of each cell, shape (any, cell_count), of each window's lanes by themselves."""
-    numbers = np.zeros((len(cells.window_rows), len(values), LANE_COUNT), np.float32)
-    numbers[cells.cell_slot // LANE_COUNT, :, cells.cell_slot % LANE_COUNT] = values.T
+    numbers = np.zeros((len(cells.window_rows), len(values), lanes.CELL_LANES), np.float32)
+    numbers[cells.cell_slot // lanes.CELL_LANES, :, cells.cell_slot % lanes.CELL_LANES] = values.T
     return numbers
 
 

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numba import njit
 from numba.core.registry import cpu_target
@@ -23,7 +23,7 @@ from heartcase.simulator.engine.cpu.chunks import share_out
 from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.cpu.steps import STEPS_BY_ORDER
 from heartcase.simulator.engine.shared.contact import NO_PROBES
-from heartcase.simulator.engine.shared.lanes import LANE_COUNT
+from heartcase.simulator.engine.shared.lanes import CELL_LANES, LANE_COUNT
 from heartcase.simulator.lattice.force_law import LOOK_BELOW, ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import block, random_field, random_models, random_shares
@@ -57,8 +57,15 @@ def engine_of(model, chunk_count: int, *, keeps_tensions: bool = True) -> CpuEng
 
 
 @njit
-def look(displacement, numbers, rows, window):
-    return is_flat_window(displacement, numbers, rows, window)
+def look(displacement, numbers, rows, window, in_pairs):
+    return is_flat_window(displacement, numbers, rows, window, in_pairs)
+
+
+def looked_at(engine):
+    """Whether each window of an engine's cells has a flat corner."""
+    cells = engine._cell_arrays
+    windows = range(len(cells.rows))
+    return np.array([look(engine.displacement, cells.numbers, cells.rows, at, cells.in_pairs[at]) for at in windows])
 
 
 def least_corner_volume(corners: np.ndarray) -> np.ndarray:
@@ -92,7 +99,9 @@ def test_a_step_is_that_of_all_forces_worked_out_together(model, law, seed):
             engine.tension[engine.layout.places(engine.layout.node_lane, 9)] = np.nan
         engine.cell_force[:] = np.nan
         if model.shares_strain:
-            engine._sharing.stress[engine.layout.places(engine.layout.node_lane, 9)] = np.nan
+            # Lanes without a cell read some of it, with a share of zero.
+            engine._sharing.stress[engine.layout.places(engine.layout.node_lane, 9)] = 1e30
+            engine._sharing.gradient[engine.layout.places(engine.cells.cell_lane, 9)] = 1e30
         engine.advance_by(thread_count, 1, Verlet(STEP), NO_PROBES)
         expected = np.float32(STEP) * (forces * model.inverse_mass[:, None])
         np.testing.assert_array_equal(engine.read().velocity, expected)
@@ -147,8 +156,7 @@ def test_the_smallest_difference_that_makes_a_corner_flat_is_seen(corner, way, i
     displacement[node] = way * (1 - 2 * CORNER_OFFSETS[corner])
     assert (least_corner_volume((engine.model.node_index + displacement)[engine.model.cell_corners]) < 0.6) == is_flat
     engine.load(State(displacement, np.zeros_like(displacement)))
-    rows, numbers = engine._cell_arrays[:2]
-    assert look(engine.displacement, numbers, rows, 0) == is_flat
+    assert looked_at(engine)[0] == is_flat
 
 
 def step_one_chunk(engine: CpuEngine, chunk: int) -> None:
@@ -182,12 +190,11 @@ def test_no_corner_is_overlooked_where_the_corners_of_a_cell_are_near_each_other
     engine = engine_of(model, 1)
     displacement = random_field(model, seed, scale) + np.float32(far)
     engine.load(State(displacement, np.zeros_like(displacement)))
-    rows, numbers = engine._cell_arrays[:2]
-    found = np.array([look(engine.displacement, numbers, rows, window) for window in range(len(rows))])
+    found = looked_at(engine)
     positions = model.node_index + displacement.astype(float)
     volume = least_corner_volume(positions[model.cell_corners])
-    least = np.full(len(rows), np.inf)
-    np.minimum.at(least, np.searchsorted(rows[:, 4], engine.cells.cell_lane, side="right") - 1, volume)
+    least = np.full(len(found), np.inf)
+    np.minimum.at(least, engine.cells.cell_slot // CELL_LANES, volume)
     is_clear = np.abs(least - LOOK_BELOW) > 1e-5
     np.testing.assert_array_equal(found[is_clear], least[is_clear] < LOOK_BELOW)
 
@@ -244,3 +251,32 @@ def test_chunks_are_as_much_work_as_each_other(chunk_count):
     work = 2 * np.diff(chunks.ends) + chunks.before_counts
     assert chunks.before_counts[0] == 0 < chunks.before_counts[1:].min()
     assert work.max() - work.min() <= 0.02 * work.mean()
+
+
+@settings(max_examples=40, deadline=None)
+@given(random_models(size_max=(30, 6, 12)), st.integers(1, 6), SEEDS, st.floats(0.0, 1.0))
+def test_chunks_know_means_and_gradients_before_they_need_them(model, chunk_count, seed, asleep):
+    """Of the cells that are awake: what sleeps was worked out before."""
+    engine = engine_of(under(model, "sharing"), chunk_count)
+    assume(engine.model.shares_strain)
+    layout, sleep, chunks, cells = engine.layout, engine._sleep, engine._chunks, engine.cells
+    awake = np.flatnonzero(np.random.default_rng(seed).random(len(cells.window_rows)) >= asleep)
+    sleep.awake_cells[: len(awake)] = awake
+    sleep.counts[1] = len(awake)
+    share_out(chunks, sleep)
+    window_of_cell = cells.cell_slot // CELL_LANES
+    corner_windows = layout.node_slot[model.cell_corners] // LANE_COUNT
+    for chunk in range(len(chunks.cell_counts)):
+        listed = chunks.cells[chunk, : chunks.cell_counts[chunk]]
+        own = np.flatnonzero(chunks.chunk_of == chunk)
+        needed = np.unique(window_of_cell[np.isin(corner_windows, own).any(axis=1)])
+        np.testing.assert_array_equal(listed, np.intersect1d(needed, awake))
+        for place, window in enumerate(listed):
+            means = chunks.means[chunk, : chunks.mean_ends[chunk, place]]
+            at = corner_windows[window_of_cell == window]
+            assert np.isin(at, means).all()
+            strained = chunks.strained[chunk, : chunks.strained_ends[chunk, len(means) - 1]]
+            around = np.unique(window_of_cell[np.isin(corner_windows, means).any(axis=1)])
+            assert np.isin(np.intersect1d(around, awake), strained).all()
+            assert (np.diff(means) > 0).all()
+            assert (np.diff(strained) > 0).all()

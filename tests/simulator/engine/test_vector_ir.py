@@ -11,6 +11,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from heartcase.compiling.emitting import array_data
+from heartcase.simulator.engine.cpu import cells
 from heartcase.simulator.engine.cpu.cells import (
     element_of_window,
     gradient_of_window,
@@ -20,7 +21,7 @@ from heartcase.simulator.engine.cpu.cells import (
 )
 from heartcase.simulator.engine.cpu.steps import STEPS_BY_ORDER, step_of_windows_with_cells
 from heartcase.simulator.engine.cpu.vector_ir import Lanes
-from heartcase.simulator.engine.shared.lanes import LANE_COUNT
+from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_PARTS, LANE_COUNT, PART_LANES
 
 ONE_PRODUCT = [
     lambda a, b, c, times: times(a, b) + c,
@@ -94,6 +95,7 @@ def test_a_sum_does_not_depend_on_what_else_is_made_of_its_product():
 
 
 ARRAY, ROWS, WINDOW = types.float32[::1], types.int64[:, ::1], types.int64
+CELLS = [ROWS, WINDOW, types.int8]
 STEP = [
     *[ARRAY] * 4,
     types.float32[:, :, ::1],
@@ -107,11 +109,11 @@ STEP = [
 KERNELS = {
     "step": (step_of_windows_with_cells, STEP),
     "step in turn": (STEPS_BY_ORDER[False], STEP),
-    "element": (element_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
-    "gradient": (gradient_of_window, [*[ARRAY] * 3, ROWS, WINDOW]),
+    "element": (element_of_window, [*[ARRAY] * 4, *CELLS]),
+    "gradient": (gradient_of_window, [*[ARRAY] * 3, *CELLS]),
     "mean stress": (mean_stress_of_window, [*[ARRAY] * 5, ROWS, WINDOW, WINDOW]),
-    "sharing element": (sharing_element_of_window, [*[ARRAY] * 6, ROWS, WINDOW]),
-    "guard": (guard_of_window, [*[ARRAY] * 4, ROWS, WINDOW]),
+    "sharing element": (sharing_element_of_window, [*[ARRAY] * 6, *CELLS]),
+    "guard": (guard_of_window, [*[ARRAY] * 4, *CELLS]),
 }
 
 
@@ -121,6 +123,27 @@ def test_the_compiler_is_free_to_change_no_number_of_a_kernel(name):
     kernel = njit(lambda given: window_kernel(*given))
     kernel.compile((types.Tuple(kinds),))
     (code,) = kernel.inspect_llvm().values()
-    assert f"fmul <{LANE_COUNT} x float>" in code
+    assert re.search(r"fmul <(8|16) x float>", code)
     assert "@llvm.fmuladd" in code
     assert not re.search(r"= (f\w+|(tail )?call) (fast|contract|reassoc|nnan|ninf|nsz|arcp|afn)\b", code)
+
+
+@pytest.mark.parametrize("name", ["element", "gradient", "sharing element", "guard"])
+@pytest.mark.parametrize("in_pairs", [0, 1])
+def test_a_window_in_halves_gives_the_bits_of_one_at_once(name, in_pairs, monkeypatch):
+    """Where registers have 8 lanes, or fewer, it is worked out in halves; parts lie anywhere, also over each other."""
+    window_kernel, kinds = KERNELS[name]
+    rng = np.random.default_rng(in_pairs)
+    given = [rng.normal(0.0, 0.05, 16 * BANK_LANES).astype(np.float32) for _ in kinds[:-3]]
+    given[-1][:6] = 2.0  # a law whose floor of corners is above them all
+    starts = rng.choice(np.arange(2, 1000), (CELL_PARTS // (1 + in_pairs), 4))
+    starts = np.repeat(starts, 1 + in_pairs, axis=0) + PART_LANES * (np.arange(CELL_PARTS) % (1 + in_pairs))[:, None]
+    rows = starts.reshape(1, -1)
+    ends = []
+    for is_wide in (False, True):
+        monkeypatch.setattr(cells, "has_wide_registers", lambda context, is_wide=is_wide: is_wide)
+        arrays = [array.copy() for array in given]
+        kernel = njit(lambda given: window_kernel(*given))
+        kernel((*arrays, rows, 0, np.int8(in_pairs)))
+        ends.append(b"".join(array.tobytes() for array in arrays))
+    assert ends[0] == ends[1] != b"".join(array.tobytes() for array in given)

@@ -54,9 +54,11 @@ class CellArrays(NamedTuple):
     """The cells beside their sharing of strain."""
 
     rows: Int64
-    """Rows of the windows that hold cells, shape (count, 9)."""
+    """Rows of the windows that hold cells, as of CellLayout, shape (count, 16)."""
+    in_pairs: Int8
+    """Whether a window's parts follow each other two by two, likewise, shape (count,)."""
     numbers: Float32
-    """Numbers of the cells, of each window's lanes by themselves, shape (count, CELL_NUMBERS, 8)."""
+    """Numbers of the cells, of each window's lanes by themselves, shape (count, CELL_NUMBERS, CELL_LANES)."""
     force: Float32
     """Room for their forces on the nodes of each chunk, three numbers a lane, of CHUNKS_PER_ROOM chunks side by side,
     shape (any, any)."""
@@ -75,7 +77,7 @@ class SharingArrays(NamedTuple):
 
     shares: Float32
     """Stiffness of each cell that is strained by the mean around each corner, and by itself [k/h], of each window of
-    cells by itself, shape (cell_window_count, 9, 8)."""
+    cells by itself, shape (cell_window_count, 9, CELL_LANES)."""
     node_shares: Float32
     """The same of the eight cells around each node, with their corner there, then the inverse of all that shares strain
     around it [h/k], zero where nothing does, of each window of nodes by itself, shape (window_count, 9, 8)."""

@@ -1,11 +1,13 @@
-"""Cells in the CPU kernel, in windows of 8: forces of elements, of the volume term and of the corner guard.
+"""Cells in the CPU kernel, in windows of 16: forces of elements, of the volume term and of the corner guard.
 
 A cell is kept in the lane of its lowest corner. A window of cells adds its forces to those on the nodes, row by row: of
-two cells side by side, the forces on the nodes between them are added first.
+two cells side by side in a part, the forces on the nodes between them are added first. Where registers are short, a
+window is worked out in halves, to the same bits.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import reduce
 from typing import Any
 
@@ -14,10 +16,10 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from heartcase.compiling.emitting import array_data, nothing, room
+from heartcase.compiling.emitting import align_stack, array_data, nothing, room_with
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
-from heartcase.simulator.engine.cpu.vector_ir import Lanes, Vector, Window
-from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT, SHARE_NUMBERS
+from heartcase.simulator.engine.cpu.vector_ir import CellWindow, Lanes, Vector, Window, has_wide_registers
+from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, CELL_PARTS, LANE_COUNT, PART_LANES, SHARE_NUMBERS
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
 from heartcase.simulator.lattice.force_law import LOOK_BELOW
 
@@ -38,7 +40,8 @@ CALM = 0.12
 """Difference of corners' displacements, along any axis, up to which no corner of a cell is below LOOK_BELOW [edges].
 
 With edges of a corner 1 + G, |G_ij| <= c, its volume is at least (1 - c)^3 - 3 (1 - c) c^2 - 2 c^3, here 0.64."""
-_CORNERS = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
+Offset = tuple[int, int, int]
+_CORNERS: list[Offset] = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
 
 _OWN_NUMBER = len(_CORNERS)
 """Place in the shares of a cell of the stiffness that is stretched as the cell is."""
@@ -51,41 +54,74 @@ _FLOOR_NUMBER = 5
 _math = make_cell_math(lambda function: function, Lanes.positive_part)
 
 
+Piece = CellWindow
+"""All of a window of cells, or as much of it as is worked out at once."""
+
+
+def _for_pieces(
+    context: Any, builder: Any, rows: Any, window: Any, in_pairs: Any, emit: Callable[[list[Piece]], Any]
+) -> None:
+    """Emit code for the pieces of a window: one where there are 32 registers of 16 lanes, else two.
+
+    It is there twice, for windows whose parts follow each other in pairs and for others.
+    """
+    align_stack(builder)
+    count = CELL_PARTS if has_wide_registers(context) else LANE_COUNT // PART_LANES
+    with builder.if_else(builder.icmp_signed("!=", in_pairs, in_pairs.type(0))) as (pairs, others):
+        for branch, has_pairs in ((pairs, True), (others, False)):
+            with branch:
+                parts = [range(first, first + count) for first in range(0, CELL_PARTS, count)]
+                emit([CellWindow(builder, rows, window, these, has_pairs) for these in parts])
+
+
+def _corners_of(here: Piece, displacement: Any) -> tuple[Vector, ...]:
+    return tuple(here.load_vector(displacement, offset) for offset in _CORNERS)
+
+
 def _make_cell_window(kind: str) -> Any:
     """The intrinsic that adds the forces of one window of cells: ``element``, ``volume`` or ``guard``.
 
-    It takes displacement, numbers of the cells, forces on the nodes, law, rows and window, and says whether a corner
-    is below LOOK_BELOW.
+    It takes displacement, numbers of the cells, forces on the nodes, law, rows, window and whether its parts are in
+    pairs, and says whether a corner is below LOOK_BELOW.
     """
 
     @intrinsic
-    def window_forces(typing_context, displacement, numbers, cell_force, law, rows, window):
+    def window_forces(typing_context, displacement, numbers, cell_force, law, rows, window, in_pairs):
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             arrays = zip(signature.args[:5], arguments, strict=False)
             u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
-            here = Window(builder, starts, arguments[5])
-            corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-            scale = _number(here, n, arguments[5], 0)
-            if kind == "element":
-                forces = _math.element(
-                    corners, scale, scale, _moments(here, n, arguments[5]), _law(builder, constants), NOTHING_SHARED
-                )
-            elif kind == "volume":
-                forces = _math.volume_term(corners, scale, _constant(builder, constants, 0))
-            else:
-                floor = _constant(builder, constants, _FLOOR_NUMBER)
-                forces = _math.corner_guard(corners, _number(here, n, arguments[5], CELL_NUMBERS - 1), floor)
-            _add_forces(here, f, forces)
-            return nothing(context) if kind == "guard" else _has_flat_corner(here, corners, scale)
+            window_of, flag = arguments[5], _Flag(builder)
+
+            def emit(pieces: list[Piece]) -> None:
+                added = []
+                for here in pieces:
+                    corners, scale = _corners_of(here, u), _number(here, n, window_of, 0)
+                    if kind == "element":
+                        moments, law_of = _moments(here, n, window_of), _law(here, constants)
+                        forces = _math.element(corners, scale, scale, moments, law_of, NOTHING_SHARED)
+                    elif kind == "volume":
+                        forces = _math.volume_term(corners, scale, _constant(here, constants, 0))
+                    else:
+                        guard = _number(here, n, window_of, CELL_NUMBERS - 1)
+                        forces = _math.corner_guard(corners, guard, _constant(here, constants, _FLOOR_NUMBER))
+                    added.append((here, forces))
+                    if kind != "guard":
+                        flag.raise_where_flat(corners, scale)
+                _add_forces(f, added)
+
+            _for_pieces(context, builder, starts, window_of, arguments[6], emit)
+            return nothing(context) if kind == "guard" else flag.read()
 
         result = types.void if kind == "guard" else types.boolean
-        return result(displacement, numbers, cell_force, law, rows, types.int64), codegen
+        return result(displacement, numbers, cell_force, law, rows, types.int64, types.int8), codegen
 
     return window_forces
 
 
 @intrinsic
-def sharing_element_of_window(typing_context, displacement, numbers, shares, stress, cell_force, law, rows, window):
+def sharing_element_of_window(
+    typing_context, displacement, numbers, shares, stress, cell_force, law, rows, window, in_pairs
+):
     """Add the forces of one window of elements that share strain; takes the stress of the means around the nodes.
 
     Says whether a corner is below LOOK_BELOW.
@@ -94,32 +130,45 @@ def sharing_element_of_window(typing_context, displacement, numbers, shares, str
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         arrays = zip(signature.args[:7], arguments, strict=False)
         u, n, w, p, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
-        here = Window(builder, starts, arguments[7])
-        corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-        window_of = arguments[7]
-        shared = _sum(here, w, window_of, p, _CORNERS)
-        scale, own = _number(here, n, window_of, 0), _share(here, w, window_of, _OWN_NUMBER)
-        moments = _moments(here, n, window_of)
-        forces = _math.element(corners, scale, own, moments, _law(builder, constants), _columns(shared))
-        _add_forces(here, f, forces)
-        return _has_flat_corner(here, corners, scale)
+        window_of, flag = arguments[7], _Flag(builder)
 
-    return types.boolean(displacement, numbers, shares, stress, cell_force, law, rows, types.int64), codegen
+        def emit(pieces: list[Piece]) -> None:
+            added = []
+            for here in pieces:
+                corners = _corners_of(here, u)
+                weights = [here.number(w, window_of, number, SHARE_NUMBERS) for number in range(SHARE_NUMBERS)]
+                shared = _sum(here, weights, p, _CORNERS)
+                scale, own = _number(here, n, window_of, 0), weights[_OWN_NUMBER]
+                moments, law_of = _moments(here, n, window_of), _law(here, constants)
+                added.append((here, _math.element(corners, scale, own, moments, law_of, _columns(shared))))
+                flag.raise_where_flat(corners, scale)
+            _add_forces(f, added)
+
+        _for_pieces(context, builder, starts, window_of, arguments[8], emit)
+        return flag.read()
+
+    arrays = (displacement, numbers, shares, stress, cell_force, law, rows)
+    return types.boolean(*arrays, types.int64, types.int8), codegen
 
 
 @intrinsic
-def gradient_of_window(typing_context, displacement, numbers, gradient, rows, window):
+def gradient_of_window(typing_context, displacement, numbers, gradient, rows, window, in_pairs):
     """Write the nine numbers of F - 1 of a window of cells."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         arrays = zip(signature.args[:4], arguments, strict=False)
         u, n, g, starts = (array_data(context, builder, *pair) for pair in arrays)
-        here = Window(builder, starts, arguments[4])
-        corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-        _store(here, g, _math.gradient(corners, _moments(here, n, arguments[4])))
+
+        def emit(pieces: list[Piece]) -> None:
+            for here in pieces:
+                columns = _math.gradient(_corners_of(here, u), _moments(here, n, arguments[4]))
+                for number, value in enumerate(component for column in columns for component in column):
+                    here.store(value, g, number)
+
+        _for_pieces(context, builder, starts, arguments[4], arguments[5], emit)
         return nothing(context)
 
-    return types.void(displacement, numbers, gradient, rows, types.int64), codegen
+    return types.void(displacement, numbers, gradient, rows, types.int64, types.int8), codegen
 
 
 def _make_mean_stress(has_more: bool) -> Any:
@@ -132,16 +181,19 @@ def _make_mean_stress(has_more: bool) -> Any:
     @intrinsic
     def stress_of(typing_context, gradient, node_shares, more, stress, law, rows, window, place):
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            align_stack(builder)
             arrays = zip(signature.args[:6], arguments, strict=False)
             g, w, m, p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
             here = Window(builder, starts, arguments[6])
+            weights = [_share(here, w, arguments[6], number) for number in range(SHARE_NUMBERS)]
             # A node is the corner of the cell behind it by that corner's offset.
-            totals = _sum(here, w, arguments[6], g, [(-i, -j, -k) for i, j, k in _CORNERS])
+            totals = _sum(here, weights, g, [(-i, -j, -k) for i, j, k in _CORNERS])
             if has_more:
                 totals = [total + _share(here, m, arguments[7], number) for number, total in enumerate(totals)]
-            inverse = _share(here, w, arguments[6], _INVERSE_NUMBER)
-            mean = [total * inverse for total in totals]
-            _store(here, p, _math.stretching(_columns(mean), _law(builder, constants)))
+            mean = [total * weights[_INVERSE_NUMBER] for total in totals]
+            columns = _math.stretching(_columns(mean), _law(here, constants))
+            for number, value in enumerate(component for column in columns for component in column):
+                value.store(here.pointer(p, number))
             return nothing(context)
 
         return types.void(gradient, node_shares, more, stress, law, rows, types.int64, types.int64), codegen
@@ -149,12 +201,11 @@ def _make_mean_stress(has_more: bool) -> Any:
     return stress_of
 
 
-def _sum(here: Window, shares: Any, window: Any, values: Any, offsets: list[tuple[int, int, int]]) -> list[Lanes]:
-    """Nine numbers each at eight offsets, times a share of the window's, added up."""
+def _sum(here: Window | Piece, weights: list[Lanes], values: Any, offsets: list[Offset]) -> list[Lanes]:
+    """Nine numbers each at eight offsets, times a weight each, added up."""
     totals: list[Lanes] = []
-    for number, offset in enumerate(offsets):
-        share = _share(here, shares, window, number)
-        terms = [here.load(values, component, offset) * share for component in range(SHARE_NUMBERS)]
+    for weight, offset in zip(weights, offsets, strict=False):
+        terms = [here.load(values, component, offset) * weight for component in range(SHARE_NUMBERS)]
         totals = [total + term for total, term in zip(totals, terms, strict=True)] if totals else terms
     return totals
 
@@ -163,46 +214,64 @@ def _columns(nine: list[Lanes]) -> tuple[Vector, ...]:
     return tuple((nine[place], nine[place + 1], nine[place + 2]) for place in (0, 3, 6))
 
 
-def _store(here: Window, array: Any, columns: tuple[Vector, ...]) -> None:
-    """Write three columns as nine numbers."""
-    for number, value in enumerate(component for column in columns for component in column):
-        value.store(here.pointer(array, number))
-
-
-def _number(here: Window, numbers: Any, window: Any, which: int) -> Lanes:
-    return Lanes.of_window(here.builder, numbers, window, which, CELL_NUMBERS)
+def _number(here: Piece, numbers: Any, window: Any, which: int) -> Lanes:
+    return here.number(numbers, window, which, CELL_NUMBERS)
 
 
 def _share(here: Window, shares: Any, window: Any, which: int) -> Lanes:
     return Lanes.of_window(here.builder, shares, window, which, SHARE_NUMBERS)
 
 
-def _moments(here: Window, numbers: Any, window: Any) -> tuple[Lanes, ...]:
+def _moments(here: Piece, numbers: Any, window: Any) -> tuple[Lanes, ...]:
     return tuple(_number(here, numbers, window, number) for number in range(1, CELL_NUMBERS - 1))
 
 
-def _law(builder: Any, constants: Any) -> tuple[Lanes, ...]:
-    return tuple(_constant(builder, constants, number) for number in range(5))
+def _law(here: Window | Piece, constants: Any) -> tuple[Lanes, ...]:
+    return tuple(_constant(here, constants, number) for number in range(5))
 
 
-def _add_forces(here: Window, node_force: Any, forces: Any) -> None:
-    for axis, at_corners in enumerate(forces):
-        _add_to_nodes(here, node_force, axis, dict(zip(_CORNERS, at_corners, strict=True)))
-
-
-def _add_to_nodes(here: Window, node_force: Any, axis: int, at_corners: dict[tuple[int, int, int], Lanes]) -> None:
-    """Add one component of the forces of a window of cells on their corners to those on the nodes."""
+def _constant(here: Window | Piece, array: Any, number: int) -> Lanes:
     builder = here.builder
-    for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        at_left, at_right = at_corners[0, j, k], at_corners[1, j, k]
-        place = here.pointer(node_force, axis, (0, j, k))
-        (Lanes.loaded(builder, place) + (at_left + at_right.after(0.0))).store(place)
-        beyond = here.pointer(node_force, axis, (LANE_COUNT, j, k))
-        builder.store(builder.fadd(builder.load(beyond), at_right.last()), beyond)
+    value = builder.load(builder.gep(array, [ir.Constant(ir.IntType(64), number)]))
+    return Lanes.filled(builder, value, here.count)
 
 
-def _constant(builder: Any, array: Any, number: int) -> Lanes:
-    return Lanes.filled(builder, builder.load(builder.gep(array, [ir.Constant(ir.IntType(64), number)])))
+def _add_forces(node_force: Any, added: list[tuple[Piece, Any]]) -> None:
+    """Add the forces of a window of cells on their corners to those on the nodes.
+
+    First the nodes in the lanes of the cells, then the one behind them, which may be in those of others: a number that
+    was just stored by itself is not at hand for a load of several.
+    """
+    for is_behind in (False, True):
+        for here, forces in added:
+            for axis, at_corners in enumerate(forces):
+                corners = dict(zip(_CORNERS, at_corners, strict=True))
+                for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
+                    at_left, at_right = corners[0, j, k], corners[1, j, k]
+                    if is_behind:
+                        _add_behind(here, node_force, axis, at_right, (1, j, k))
+                    else:
+                        _add_in_lanes(here, node_force, axis, at_left + _moved_on(here, at_right), (0, j, k))
+
+
+def _moved_on(here: Piece, lanes: Lanes) -> Lanes:
+    """Lanes that follow each other in memory one place on, after a zero; the last is left out."""
+    firsts = {places[0] for places in here.pieces}
+    places = [here.count if place in firsts else place - 1 for place in range(here.count)]
+    return lanes.at(places, Lanes.filled(here.builder, 0.0, here.count))
+
+
+def _add_in_lanes(here: Piece, node_force: Any, axis: int, force: Lanes, offset: Offset) -> None:
+    for piece, places in enumerate(here.pieces):
+        pointer = here.pointer(piece, node_force, axis, offset)
+        (Lanes.loaded(here.builder, pointer, len(places)) + force.at([*places])).store(pointer)
+
+
+def _add_behind(here: Piece, node_force: Any, axis: int, force: Lanes, offset: Offset) -> None:
+    i, j, k = offset
+    for piece, places in enumerate(here.pieces):
+        pointer = here.pointer(piece, node_force, axis, (i * len(places), j, k))
+        here.builder.store(here.builder.fadd(here.builder.load(pointer), force.lane(places[-1])), pointer)
 
 
 element_of_window = _make_cell_window("element")
@@ -235,28 +304,41 @@ def _spread(corners: tuple[Vector, ...]) -> Lanes:
     return reduce(Lanes.greater, spreads)
 
 
-def _has_flat_corner(here: Window, corners: tuple[Vector, ...], scale: Lanes) -> Any:
-    """Whether a corner of a window's cells has a volume below LOOK_BELOW."""
-    builder = here.builder
-    # Lanes without a cell have no stiffness, wherever the nodes around them are.
-    spread = _spread(corners).where_positive(scale, Lanes.filled(builder, 0.0))
-    result = room(builder, ir.IntType(1))
-    builder.store(ir.Constant(ir.IntType(1), 0), result)
-    with builder.if_then((spread - CALM).is_any_positive()):
-        lack = _math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale
-        builder.store(lack.is_any_positive(), result)
-    return builder.load(result)
+class _Flag:
+    """Whether a corner of some cells has a volume below LOOK_BELOW, in the code being emitted."""
+
+    def __init__(self, builder: Any) -> None:
+        self.builder = builder
+        self._room = room_with(builder, ir.Constant(ir.IntType(1), 0))
+
+    def raise_where_flat(self, corners: tuple[Vector, ...], scale: Lanes) -> None:
+        """Look at more cells."""
+        builder = self.builder
+        # Lanes without a cell have no stiffness, wherever the nodes around them are.
+        spread = _spread(corners).where_positive(scale, Lanes.filled(builder, 0.0, scale.count))
+        with builder.if_then((spread - CALM).is_any_positive()):
+            lack = _math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale
+            builder.store(builder.or_(self.read(), lack.is_any_positive()), self._room)
+
+    def read(self) -> Any:
+        """Whether there was one: a bit of the program."""
+        return self.builder.load(self._room)
 
 
 @intrinsic
-def is_flat_window(typing_context, displacement, numbers, rows, window):
+def is_flat_window(typing_context, displacement, numbers, rows, window, in_pairs):
     """Whether a corner of one of a window's cells has a volume below LOOK_BELOW."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         arrays = zip(signature.args[:3], arguments, strict=False)
         u, n, starts = (array_data(context, builder, *pair) for pair in arrays)
-        here = Window(builder, starts, arguments[3])
-        corners = tuple(here.load_vector(u, offset) for offset in _CORNERS)
-        return _has_flat_corner(here, corners, _number(here, n, arguments[3], 0))
+        flag = _Flag(builder)
 
-    return types.boolean(displacement, numbers, rows, types.int64), codegen
+        def emit(pieces: list[Piece]) -> None:
+            for here in pieces:
+                flag.raise_where_flat(_corners_of(here, u), _number(here, n, arguments[3], 0))
+
+        _for_pieces(context, builder, starts, arguments[3], arguments[4], emit)
+        return flag.read()
+
+    return types.boolean(displacement, numbers, rows, types.int64, types.int8), codegen

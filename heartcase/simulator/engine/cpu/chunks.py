@@ -5,6 +5,8 @@ for the springs behind, it finds them where earlier windows left them. A thread 
 each other, and before it those behind them that are not in it, or are asleep: of these it works out the tensions alone.
 So no thread waits for another, and what two of them both work out is the same to the bit. It is alike with cells: a
 thread works out all that its windows are corners of, and adds up their forces for itself, always in the same order.
+Where cells share strain, it also works out the means around all their corners, and the gradients of all cells that
+these are means of.
 
 Lattices that no cache holds take longer to keep and fetch tensions than to work them out from both ends.
 """
@@ -17,7 +19,7 @@ import numpy as np
 from numba import get_num_threads
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Int32, Int64
+from heartcase.schemas.arrays import Int8, Int32, Int64
 from heartcase.simulator.engine.cpu.sleep import SleepArrays
 from heartcase.simulator.engine.shared.lane_kernels import list_windows, ranges_behind, write_behind
 from heartcase.simulator.engine.shared.lanes import LaneLayout
@@ -58,6 +60,18 @@ class ChunkArrays(NamedTuple):
     """Windows of nodes that are corners of the windows of cells that are awake come first, shape (window_count,)."""
     corner_counts: Int64
     """How many these are, shape (1,)."""
+    shares_strain: Int8
+    """Whether cells share strain, shape (1,): only then are the lists that follow made."""
+    means: Int32
+    """Windows of nodes that the cells of a chunk end at come first, ascending, shape (chunk_count, window_count)."""
+    strained: Int32
+    """Windows of cells around these come first, shape (chunk_count, cell_window_count)."""
+    mean_ends: Int64
+    """How many of the means must be known for each of a chunk's windows of cells and those before it, shape
+    (chunk_count, cell_window_count)."""
+    strained_ends: Int64
+    """How many of the gradients must be known for each of the means and those before it, shape (chunk_count,
+    window_count)."""
 
 
 def chunk_arrays(behind: Int32, touches: Int64, sleep: SleepArrays, layer_count: int) -> ChunkArrays:
@@ -76,6 +90,11 @@ def chunk_arrays(behind: Int32, touches: Int64, sleep: SleepArrays, layer_count:
         np.zeros(chunk_count, np.int64),
         np.zeros(window_count, np.int32),
         np.zeros(1, np.int64),
+        np.zeros(1, np.int8),
+        np.zeros((chunk_count, window_count), np.int32),
+        np.zeros((chunk_count, len(touches)), np.int32),
+        np.zeros((chunk_count, len(touches)), np.int64),
+        np.zeros((chunk_count, window_count), np.int64),
     )
     share_out(chunks, sleep)
     return chunks
@@ -111,7 +130,9 @@ def _set_ends(ends: Int64, before_counts: Int64, count: int) -> None:
 @kernel
 def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
     """Make the chunks from the windows that are awake."""
-    behind, ends, before, before_counts, taken_by, chunk_of, touches, cells, cell_counts, _, _ = chunks
+    behind, ends, before, before_counts = chunks.behind, chunks.ends, chunks.before, chunks.before_counts
+    taken_by, chunk_of, touches = chunks.taken_by, chunks.chunk_of, chunks.touches
+    cells, cell_counts = chunks.cells, chunks.cell_counts
     awake, awake_cells, is_asleep, count = sleep.awake, sleep.awake_cells, sleep.is_asleep, sleep.counts[0]
     chunk_count = len(before_counts)
     before_counts[:] = 0
@@ -156,6 +177,52 @@ def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
                 cells[chunk, last + 1] = window
                 cell_counts[chunk] += 1
     _list_corners(chunks, sleep)
+    if chunks.shares_strain[0]:
+        for chunk in range(chunk_count):
+            _list_means(chunk, chunks, sleep)
+
+
+@kernel
+def _list_means(chunk: int, chunks: ChunkArrays, sleep: SleepArrays) -> None:
+    """List the means around the corners of a chunk's cells, and the gradients that these are of."""
+    touches, place_of = chunks.touches, chunks.taken_by
+    cells, means = chunks.cells[chunk, : chunks.cell_counts[chunk]], chunks.means[chunk]
+    place_of[:] = 0
+    for window in cells:
+        for touched in touches[window]:
+            if touched < 0:
+                break
+            place_of[touched] = 1
+    mean_count = 0
+    for window in range(len(place_of)):
+        if place_of[window]:
+            means[mean_count] = window
+            mean_count += 1
+            place_of[window] = mean_count
+    most = 0
+    for place in range(len(cells)):
+        for touched in touches[cells[place]]:
+            if touched < 0:
+                break
+            most = max(most, place_of[touched])
+        chunks.mean_ends[chunk, place] = most
+    ends = chunks.strained_ends[chunk]
+    ends[:mean_count] = 0
+    count = 0
+    for number in range(sleep.counts[1]):
+        window = sleep.awake_cells[number]
+        is_around = False
+        for touched in touches[window]:
+            if touched < 0:
+                break
+            if place_of[touched]:
+                ends[place_of[touched] - 1] = count + 1
+                is_around = True
+        if is_around:
+            chunks.strained[chunk, count] = window
+            count += 1
+    for place in range(1, mean_count):
+        ends[place] = max(ends[place], ends[place - 1])
 
 
 @kernel

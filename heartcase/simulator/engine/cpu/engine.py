@@ -21,7 +21,7 @@ from heartcase.simulator.engine.cpu.arrays import (
 )
 from heartcase.simulator.engine.cpu.autotune import Autotuner
 from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
-from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, behind_windows, chunk_arrays
+from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, behind_windows, chunk_arrays, share_out
 from heartcase.simulator.engine.cpu.ghosts import GhostArrays, ghost_arrays
 from heartcase.simulator.engine.cpu.instruments import explicit_arrays
 from heartcase.simulator.engine.cpu.kernel import (
@@ -46,7 +46,14 @@ from heartcase.simulator.engine.shared.lane_arrays import (
     read_vectors,
     write_vectors,
 )
-from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, LANE_COUNT, SHARE_NUMBERS, LaneLayout, lane_layout
+from heartcase.simulator.engine.shared.lanes import (
+    CELL_LANES,
+    CELL_NUMBERS,
+    LANE_COUNT,
+    SHARE_NUMBERS,
+    LaneLayout,
+    lane_layout,
+)
 from heartcase.simulator.engine.shared.spring_kernels import copy_from_windows
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.lattice.state import State
@@ -171,6 +178,9 @@ class CpuEngine:
         """Start from this state."""
         write_vectors(self.layout.node_lane, state.displacement, self.displacement)
         write_vectors(self.layout.node_lane, state.velocity, self.velocity)
+        # Lanes without a cell read what was left there, with a share of zero: no NaN of a state that broke down.
+        for means in self._means:
+            means[:] = 0.0
         self.step_count = state.step_count
 
     def read(self) -> State:
@@ -263,11 +273,15 @@ class CpuEngine:
         if model.shares_strain:
             in_cells = SHARING_ELEMENTS
         self._sharing = self._sharing_arrays(model)
+        if model.shares_strain != bool(self._chunks.shares_strain[0]):
+            self._chunks.shares_strain[0] = model.shares_strain
+            share_out(self._chunks, self._sleep)
         numbers = self._cell_room(CELL_NUMBERS)
         self.cells.write_numbers(model, numbers)
         self._kinds = (in_cells, has_springs, law.has_corner_guard)
         self._cell_arrays = CellArrays(
             self.cells.window_rows,
+            self.cells.in_pairs,
             numbers,
             self.cell_force,
             np.array(law.constants, np.float32),
@@ -288,12 +302,12 @@ class CpuEngine:
         """What elements need that share strain."""
         is_sharing = np.zeros(len(self.cells.window_rows), np.int8)
         if not model.shares_strain:
-            none = aligned((0, SHARE_NUMBERS, LANE_COUNT))
+            none = aligned((0, SHARE_NUMBERS, CELL_LANES))
             return SharingArrays(none, none, aligned((0,)), none, *self._means, is_sharing)
         if not len(self._means[0]):
             length = self.layout.length(SHARE_NUMBERS)
             self._means = aligned((length,)), aligned((length,))
-        # Cells that share nothing any more are not written, but read, with a share of zero: no number must be left.
+        # Cells that share nothing any more are not written, but read, with a share of zero: no NaN must be left.
         self._means[0][:] = 0.0
         shares, ghosts, layout = share_numbers(model), self._ghosts, self.layout
         around = aligned((layout.window_count, SHARE_NUMBERS, LANE_COUNT))
@@ -301,7 +315,7 @@ class CpuEngine:
         cell = layout.irregular_cells[ghosts.ghost_number // 8]
         by_window = self._cell_room(SHARE_NUMBERS)
         self.cells.write_by_window(shares, 0, by_window)
-        windows = np.unique(self.cells.cell_slot[model.shared_stiffness.any(axis=1)] // LANE_COUNT)
+        windows = np.unique(self.cells.cell_slot[model.shared_stiffness.any(axis=1)] // CELL_LANES)
         is_sharing[windows] = 1
         return SharingArrays(
             by_window,
@@ -337,4 +351,4 @@ class CpuEngine:
 
     def _cell_room(self, number_count: int) -> Float32:
         """Zeros for so many numbers of each window of cells."""
-        return aligned((len(self.cells.window_rows), number_count, LANE_COUNT))
+        return aligned((len(self.cells.window_rows), number_count, CELL_LANES))

@@ -13,7 +13,7 @@ import numpy as np
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
 from heartcase.simulator.engine.shared.cell_lanes import CellLayout
-from heartcase.simulator.engine.shared.lanes import BANK_LANES, GHOST_CELLS, SHARE_NUMBERS
+from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_LANES, GHOST_CELLS, LANE_COUNT, SHARE_NUMBERS
 from heartcase.simulator.lattice.model import LatticeModel
 
 __all__ = [
@@ -34,7 +34,7 @@ class GhostArrays(NamedTuple):
     first_window: int
     """First window of cells that holds them."""
     lane: Int64
-    """Lane of each ghost, GHOST_CELLS cells to a window, shape (irregular_count * 8,)."""
+    """Lane of each ghost, by the cell and then the corner, shape (irregular_count * 8,)."""
     of_lane: Int64
     """Lane of its node, the same."""
     node_first: Int64
@@ -51,8 +51,8 @@ class GhostArrays(NamedTuple):
     """Lane of each ghost's cell, by the cell and then the corner, shape (irregular_count * 8,)."""
 
 
-_GHOSTS = 8 * GHOST_CELLS
-"""Ghosts of a window."""
+_GHOSTS = 8 * GHOST_CELLS * (CELL_LANES // LANE_COUNT)
+"""Ghosts of a window of cells."""
 
 
 def ghost_arrays(model: LatticeModel, cells: CellLayout) -> GhostArrays:

@@ -1,10 +1,11 @@
 """The CPU kernel: steps of all windows, on one thread or on all of them, in float32.
 
 In a step, each thread first adds up the forces of the cells around its nodes, then nodes add those of their springs and
-move (:mod:`heartcase.simulator.engine.cpu.steps`). Where elements share strain, all threads first write the gradients
-of the cells, wait at the barrier, write the stress of the means around the nodes, and wait again. A window reads only
-what was written before the last barrier, or by its own thread (:mod:`heartcase.simulator.engine.cpu.chunks`), and
-writes only its own lanes, so that the result does not depend on the number of threads.
+move (:mod:`heartcase.simulator.engine.cpu.steps`). Where elements share strain, it also writes the gradients of cells
+and the stress of the means around nodes before the forces that need them; those that two threads need both of them
+write, with the same bits. A window reads only what was written before the last barrier, or by its own thread
+(:mod:`heartcase.simulator.engine.cpu.chunks`), and writes only its own lanes, so that the result does not depend on the
+number of threads.
 
 Where springs act alone, corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS
 from there, or in every step while there are probes; in between, only the windows that had such corners are looked
@@ -89,6 +90,8 @@ StateArrays = tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float3
 
 SHARES = 64
 """Parts of the windows that threads take one by one."""
+CELLS_AT_ONCE = 64
+"""Windows of cells that share strain whose gradients, means and forces are worked out one after the other."""
 LOOK_STEPS = 8
 """Steps between two looks for corners that are about to turn inside out."""
 CHUNKS_PER_ROOM = CELL_NUMBERS // 3
@@ -105,23 +108,21 @@ def _part(share: int, count: int) -> tuple[int, int]:
 @kernel
 def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
     """Mark the windows of cells that have a corner to be looked after."""
-    rows, numbers, _, _, is_flat, _, _ = cells
     awake, counts = sleep.awake_cells, sleep.counts
     first, end = _part(share, counts[1])
     for window in awake[first:end]:
-        is_flat[window] = is_flat_window(now, numbers, rows, window)
+        cells.is_flat[window] = is_flat_window(now, cells.numbers, cells.rows, window, cells.in_pairs[window])
 
 
 @kernel
 def _mark_touched(cells: CellArrays) -> None:
     """Mark the windows of nodes to which flat cells belong."""
-    rows, _, _, _, is_flat, is_touched, touches = cells
-    is_touched[:] = 0
-    for window in range(len(rows)):
-        if is_flat[window]:
-            for touched in touches[window]:
+    cells.is_touched[:] = 0
+    for window in range(len(cells.rows)):
+        if cells.is_flat[window]:
+            for touched in cells.touches[window]:
                 if touched >= 0:
-                    is_touched[touched] = 1
+                    cells.is_touched[touched] = 1
 
 
 @kernel
@@ -130,35 +131,31 @@ def _has_flat(cells: CellArrays) -> bool:
 
 
 @kernel
-def _stretch(
-    thread: int, thread_count: int, now: Float32, cells: CellArrays, sharing: SharingArrays, sleep: SleepArrays
-) -> None:
-    """Write the gradients of a thread's part of the windows of cells that share strain."""
-    count = sleep.counts[1]
-    for window in sleep.awake_cells[thread * count // thread_count : (thread + 1) * count // thread_count]:
+def _stretch(windows: Int64 | Int32, now: Float32, cells: CellArrays, sharing: SharingArrays) -> None:
+    """Write the gradients of those of some windows of cells that share strain."""
+    for place in range(len(windows)):
+        window = np.int64(windows[place])
         if sharing.is_sharing[window]:
-            gradient_of_window(now, cells.numbers, sharing.gradient, cells.rows, window)
+            gradient_of_window(now, cells.numbers, sharing.gradient, cells.rows, window, cells.in_pairs[window])
 
 
 @kernel
-def _share_strain(thread: int, thread_count: int, rows: Int64, work: CellWork, chunks: ChunkArrays) -> None:
-    """Write the stress of the means around a thread's part of the nodes; all that cells which are awake end at."""
+def _share_strain(windows: Int32, rows: Int64, work: CellWork) -> None:
+    """Write the stress of the means around the nodes of some windows."""
     cells, _, sharing, ghosts = work
     _, node_shares, ghost_shares, sums, gradient, stress, _ = sharing
-    count = chunks.corner_counts[0]
-    part = chunks.corners[thread * count // thread_count : (thread + 1) * count // thread_count]
     # One after the other: a vector that is loaded soon after its numbers were stored one by one has to wait.
-    for window in part:
+    for window in windows:
         if ghosts.window_number[window] >= 0:
             sum_of_ghosts(window, rows[window, 4], gradient, ghost_shares, sums, ghosts)
-    for window in part:
+    for window in windows:
         place = np.int64(window)
         number = ghosts.window_number[place]
         if number < 0:
             mean_stress_of_window(gradient, node_shares, sums, stress, cells.law, rows, place, number)
         else:
             mean_stress_of_window_with_more(gradient, node_shares, sums, stress, cells.law, rows, place, number)
-    for window in part:
+    for window in windows:
         if ghosts.window_number[window] >= 0:
             share_with_ghosts(window, stress, ghosts)
 
@@ -167,28 +164,47 @@ def _share_strain(thread: int, thread_count: int, rows: Int64, work: CellWork, c
 def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellWork) -> None:
     """Add the forces of some windows of cells to those on the nodes."""
     cells, (kind, _, has_guard), sharing, ghosts = work
-    rows, numbers, _, law, is_flat, _, _ = cells
+    rows, numbers, law, is_flat = cells.rows, cells.numbers, cells.law, cells.is_flat
     for place in range(len(windows)):
         window = np.int64(windows[place])
+        in_pairs = cells.in_pairs[window]
         if kind == NO_CELLS and not is_flat[window]:
             continue
         if window >= ghosts.first_window:
             clear_ghost_forces(force, window, ghosts)
         if kind == SHARING_ELEMENTS and sharing.is_sharing[window]:
             needs_guard = sharing_element_of_window(
-                now, numbers, sharing.shares, sharing.stress, force, law, rows, window
+                now, numbers, sharing.shares, sharing.stress, force, law, rows, window, in_pairs
             )
         elif kind >= ELEMENTS:
-            needs_guard = element_of_window(now, numbers, force, law, rows, window)
+            needs_guard = element_of_window(now, numbers, force, law, rows, window, in_pairs)
         elif kind == VOLUME_TERM:
-            needs_guard = volume_of_window(now, numbers, force, law, rows, window)
+            needs_guard = volume_of_window(now, numbers, force, law, rows, window, in_pairs)
         else:
             needs_guard = True
         is_flat[window] = needs_guard
         if needs_guard and has_guard:
-            guard_of_window(now, numbers, force, law, rows, window)
+            guard_of_window(now, numbers, force, law, rows, window, in_pairs)
         if window >= ghosts.first_window:
             add_ghost_forces(force, window, ghosts)
+
+
+@kernel
+def _add_sharing_cells(
+    chunk: int, now: Float32, force: Float32, work: CellWork, rows: Int64, chunks: ChunkArrays
+) -> None:
+    """Add the forces of a chunk's cells that share strain, few at a time: what they read is still in the cache."""
+    cells, means, strained = chunks.cells[chunk], chunks.means[chunk], chunks.strained[chunk]
+    mean_count, strained_count, cell_count = np.int64(0), np.int64(0), chunks.cell_counts[chunk]
+    for first in range(0, cell_count, CELLS_AT_ONCE):
+        end = min(first + CELLS_AT_ONCE, cell_count)
+        mean_end = chunks.mean_ends[chunk, end - 1]
+        if mean_end > mean_count:
+            strained_end = chunks.strained_ends[chunk, mean_end - 1]
+            _stretch(strained[strained_count:strained_end], now, work.cells, work.sharing)
+            _share_strain(means[mean_count:mean_end], rows, work)
+            mean_count, strained_count = mean_end, strained_end
+        _add_cells(cells[first:end], now, force, work)
 
 
 @kernel
@@ -239,7 +255,10 @@ def _step_chunk_with_cells(
     for window in awake[first:end]:
         if kind != NO_CELLS or is_touched[window]:
             clear_window(force, rows, window)
-    _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], now, force, work)
+    if kind == SHARING_ELEMENTS:
+        _add_sharing_cells(chunk, now, force, work, rows, chunks)
+    else:
+        _add_cells(chunks.cells[chunk, : chunks.cell_counts[chunk]], now, force, work)
     if has_springs:
         for number in range(chunks.before_counts[chunk]):
             tension_of_window(now, window_numbers, tension, rows, np.int64(before[chunk, number]))
@@ -293,8 +312,8 @@ def lane_forces(
         for window in range(rows.shape[0]):
             clear_window(cell_force, rows, window)
         if kind == SHARING_ELEMENTS:
-            _stretch(0, 1, displacement, cells, sharing, sleep)
-            _share_strain(0, 1, nodes, work, chunks)
+            _stretch(sleep.awake_cells, displacement, cells, sharing)
+            _share_strain(chunks.corners[: chunks.corner_counts[0]], nodes, work)
         _add_cells(sleep.awake_cells, displacement, cell_force, work)
         for window in range(rows.shape[0]):
             force_of_window_with_cells(displacement, weight, cell_force, force, rows, window)
@@ -421,7 +440,7 @@ def advance(
         Buffer that holds the displacement at the end.
     """
     displacement, velocity, weight, window_numbers, tension, inverse_mass, rows, rest = nodes
-    cells, (kind, _, has_guard), sharing, ghosts = work
+    cells, (kind, _, has_guard), _, ghosts = work
     explicit, probes, turn, _, tethers = instruments
     current, step_count, first_step, constants, still = steps
     thread, thread_count, barrier = place
@@ -458,11 +477,6 @@ def advance(
                 if thread == 0:
                     _mark_touched(cells)
                 wait_at(barrier, thread_count)
-        if kind == SHARING_ELEMENTS:
-            _stretch(thread, thread_count, now, cells, sharing, sleep)
-            wait_at(barrier, thread_count)
-            _share_strain(thread, thread_count, rows, work, chunks)
-            wait_at(barrier, thread_count)
         if len(tethers.lanes):
             stretch_tethers(thread, thread_count, now, row_step, tethers)
             wait_at(barrier, thread_count)

@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from heartcase.compiling.emitting import array_data, counted, length, nothing, room_with, tuple_parts
+from heartcase.compiling.emitting import align_stack, array_data, counted, length, nothing, room_with, tuple_parts
 from heartcase.simulator.engine.cpu.springs import (
     AHEAD,
     SpringsAhead,
@@ -209,6 +209,7 @@ def _make_steps(springs: str, has_cells: bool = False, in_stages: bool | None = 
         arrays = (now, later, velocity, weight, window_numbers, tension, cell_force, inverse_mass, rows)
 
         def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            align_stack(builder)
             given = zip(signature.args[:9], arguments, strict=False)
             data = [array_data(context, builder, *pair) for pair in given]
             fixed = [Lanes.filled(builder, number) for number in tuple_parts(builder, arguments[12], 7)]

@@ -18,7 +18,14 @@ from heartcase.simulator.engine.cpu.barrier import raise_to
 from heartcase.simulator.engine.cpu.ghosts import GhostArrays
 from heartcase.simulator.engine.cpu.room import untouched
 from heartcase.simulator.engine.shared.contact import make_contact
-from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT, LaneLayout
+from heartcase.simulator.engine.shared.lanes import (
+    BANK_LANES,
+    CELL_LANES,
+    CORNER_ROWS,
+    LANE_COUNT,
+    PART_LANES,
+    LaneLayout,
+)
 from heartcase.simulator.engine.shared.turning import CORNER_NODES, make_turn_math
 from heartcase.simulator.lattice.force_law import LOOK_BELOW
 
@@ -26,11 +33,10 @@ __all__ = ["TurnArrays", "push_out", "shorten", "turn_arrays", "watch_cells"]
 
 Vector = tuple[np.float32, np.float32, np.float32]
 
-_CORNER_ROWS = np.array([4, 5, 7, 8])
-"""Number in a window's rows of a cell's corners (j, k) = (0, 0), (1, 0), (0, 1), (1, 1)."""
 _CELL_ROWS = np.array([4, 3, 1, 0])
-"""Likewise of the cells that have a node for such a corner."""
+"""Number in a window's rows of the cells that have a node for their corner (j, k) = (0, 0), (1, 0), (0, 1), (1, 1)."""
 _NODES = np.array(CORNER_NODES)
+_ROW_COUNT = len(CORNER_ROWS)
 
 
 class TurnArrays(NamedTuple):
@@ -149,7 +155,7 @@ def push_out(
 
 @kernel
 def _watch_cell(
-    row: Int64,
+    starts: Int64,
     place: int,
     now: Float32,
     later: Float32,
@@ -160,13 +166,16 @@ def _watch_cell(
     position: Float32,
     moved: Float32,
 ) -> bool:
-    """Write what one cell allows; whether it is to be looked after at all. Rows of a vector each are room."""
+    """Write what one cell allows; whether it is to be looked after at all. Rows of a vector each are room.
+
+    ``starts``: lane at the first i of the cell's part in the rows of its corners; ``place``: its lane from there.
+    """
     near = np.int8(0)
     lanes = np.empty(8, np.int64)
     free = np.empty(8, np.bool_)
     for corner in range(8):
         i, j, k = corner & 1, corner >> 1 & 1, corner >> 2
-        lane = row[_CORNER_ROWS[2 * k + j]] + place + i
+        lane = starts[2 * k + j] + place + i
         lanes[corner] = lane
         free[corner] = inverse_mass[lane] > 0
         if has_probes:
@@ -178,7 +187,7 @@ def _watch_cell(
         position[corner, 0] += np.float32(i)
         position[corner, 1] += np.float32(j)
         position[corner, 2] += np.float32(k)
-    own = row[4] + place
+    own = starts[0] + place
     is_watched = bool(near > 0)
     for corner in range(8):
         turn.allowed[corner * BANK_LANES + own] = np.float32(1)
@@ -242,17 +251,15 @@ def watch_cells(
                     is_due = True
         if not is_due and not turn.is_watched[window]:
             continue
-        start = rows[window, 4]
         is_watched = False
-        for place in range(LANE_COUNT):
-            lane = start + place
-            turn.watched[lane] = 0
+        for number in range(CELL_LANES):
+            part, place = number // PART_LANES, number % PART_LANES
+            starts = rows[window, _ROW_COUNT * part : _ROW_COUNT * (part + 1)]
+            turn.watched[starts[0] + place] = 0
             # Without stiffness there is no cell, or one that was cut.
-            if is_due and numbers[window, 0, place] > 0:
+            if is_due and numbers[window, 0, number] > 0:
                 most = np.float32(LOOK_BELOW) if looks_after_flat else np.float32(0)
-                does = _watch_cell(
-                    rows[window], place, now, later, inverse_mass, most, has_probes, turn, position, moved
-                )
+                does = _watch_cell(starts, place, now, later, inverse_mass, most, has_probes, turn, position, moved)
                 is_watched = is_watched or does
         turn.is_watched[window] = is_watched
         if is_watched:

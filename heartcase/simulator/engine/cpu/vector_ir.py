@@ -15,24 +15,38 @@ from numba import types
 from numba.extending import intrinsic
 
 from heartcase.compiling.emitting import named_function, nothing, room
-from heartcase.simulator.engine.shared.lanes import BANK_LANES, LANE_COUNT, ROWS
+from heartcase.simulator.engine.shared.lanes import (
+    BANK_LANES,
+    CELL_LANES,
+    CELL_PARTS,
+    CORNER_ROWS,
+    LANE_COUNT,
+    PART_LANES,
+    ROWS,
+)
 
 __all__ = [
+    "CellWindow",
     "Lanes",
     "Vector",
     "Window",
     "flush_subnormals",
     "has_many_registers",
+    "has_wide_registers",
     "restore_subnormals",
 ]
 
 _FLOAT = ir.FloatType()
 _INDEX = ir.IntType(64)
-_VECTOR = ir.VectorType(_FLOAT, LANE_COUNT)
+_PLACE = ir.IntType(32)
+
+
+def _vector(count: int) -> ir.VectorType:
+    return ir.VectorType(_FLOAT, count)
 
 
 class Lanes:
-    """The value of one window's lanes in the code being emitted, with the operators of arithmetic.
+    """The value of some lanes, such as a window's, in the code being emitted, with the operators of arithmetic.
 
     A sum with a product is one fused operation where the processor has it: more exact, and faster. That is settled
     here: left to LLVM (``contract``), which sums are fused depends on the code around them, and two compiled copies of
@@ -48,19 +62,24 @@ class Lanes:
         self.factors = factors
         """What the value is a product of, if it is one: a sum takes these, and LLVM drops a product that none reads."""
 
-    @classmethod
-    def filled(cls, builder: Any, number: Any) -> Lanes:
-        """The same number in every lane: a constant, or a float32 of the program."""
-        if isinstance(number, int | float | np.floating):
-            return cls(builder, ir.Constant(_VECTOR, [float(np.float32(number))] * LANE_COUNT))
-        one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
-        places = ir.Constant(ir.VectorType(ir.IntType(32), LANE_COUNT), [0] * LANE_COUNT)
-        return cls(builder, builder.shuffle_vector(one, one, places))
+    @property
+    def count(self) -> int:
+        """How many lanes there are."""
+        count: int = self.value.type.count
+        return count
 
     @classmethod
-    def loaded(cls, builder: Any, pointer: Any) -> Lanes:
+    def filled(cls, builder: Any, number: Any, count: int = LANE_COUNT) -> Lanes:
+        """The same number in every lane: a constant, or a float32 of the program."""
+        if isinstance(number, int | float | np.floating):
+            return cls(builder, ir.Constant(_vector(count), [float(np.float32(number))] * count))
+        one = builder.insert_element(ir.Constant(_vector(count), ir.Undefined), number, ir.Constant(_PLACE, 0))
+        return cls(builder, one).at([0] * count)
+
+    @classmethod
+    def loaded(cls, builder: Any, pointer: Any, count: int = LANE_COUNT) -> Lanes:
         """The lanes that start at a pointer to float32."""
-        return cls(builder, builder.load(builder.bitcast(pointer, _VECTOR.as_pointer()), align=4))
+        return cls(builder, builder.load(builder.bitcast(pointer, _vector(count).as_pointer()), align=4))
 
     @classmethod
     def of_window(cls, builder: Any, numbers: Any, window: Any, which: int, count: int) -> Lanes:
@@ -72,17 +91,29 @@ class Lanes:
     @classmethod
     def gathered(cls, builder: Any, pointers: list[Any]) -> Lanes:
         """Float32 that lie anywhere, one for each lane."""
-        value = ir.Constant(_VECTOR, ir.Undefined)
+        value = ir.Constant(_vector(len(pointers)), ir.Undefined)
         for place, pointer in enumerate(pointers):
-            value = builder.insert_element(value, builder.load(pointer), ir.Constant(ir.IntType(32), place))
+            value = builder.insert_element(value, builder.load(pointer), ir.Constant(_PLACE, place))
         return cls(builder, value)
+
+    @classmethod
+    def joined(cls, parts: list[Lanes]) -> Lanes:
+        """As many lanes each of two, four or more parts, one after the other."""
+        while len(parts) > 1:
+            parts = [one.at([*range(2 * one.count)], other) for one, other in zip(parts[::2], parts[1::2], strict=True)]
+        return parts[0]
+
+    def at(self, places: list[int], more: Lanes | None = None) -> Lanes:
+        """The lanes at some places; those of ``more`` follow behind these."""
+        mask = ir.Constant(ir.VectorType(_PLACE, len(places)), places)
+        return Lanes(self.builder, self.builder.shuffle_vector(self.value, (more or self).value, mask))
 
     def store(self, pointer: Any) -> None:
         """Write the lanes from a pointer to float32 on."""
-        self.builder.store(self.value, self.builder.bitcast(pointer, _VECTOR.as_pointer()), align=4)
+        self.builder.store(self.value, self.builder.bitcast(pointer, self.value.type.as_pointer()), align=4)
 
     def _other(self, other: Lanes | float) -> Lanes:
-        return other if isinstance(other, Lanes) else Lanes.filled(self.builder, other)
+        return other if isinstance(other, Lanes) else Lanes.filled(self.builder, other, self.count)
 
     def __add__(self, other: Lanes | float) -> Lanes:
         if _is_zero(other):
@@ -109,7 +140,7 @@ class Lanes:
         return Lanes(self.builder, self.builder.fsub(self.value, right.value))
 
     def __rsub__(self, other: float) -> Lanes:
-        return Lanes.filled(self.builder, other) - self
+        return self._other(other) - self
 
     def __mul__(self, other: Lanes | float) -> Lanes:
         factors = (self.value, self._other(other).value)
@@ -118,46 +149,43 @@ class Lanes:
     __rmul__ = __mul__
 
     def __rtruediv__(self, other: float) -> Lanes:
-        return Lanes.filled(self.builder, other) / self
+        return self._other(other) / self
 
     def __truediv__(self, other: Lanes | float) -> Lanes:
         return Lanes(self.builder, self.builder.fdiv(self.value, self._other(other).value))
 
     def _fused(self, factors: tuple[Any, Any], summand: Lanes) -> Lanes:
         """``llvm.fmuladd``: one operation or two, as is quicker on the processor, but the same in all its code."""
-        kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
-        function = named_function(self.builder, kind, f"llvm.fmuladd.v{LANE_COUNT}f32")
+        kind = ir.FunctionType(self.value.type, [self.value.type] * 3)
+        function = named_function(self.builder, kind, f"llvm.fmuladd.v{self.count}f32")
         return Lanes(self.builder, self.builder.call(function, [*factors, summand.value]))
 
     def after(self, first: Any) -> Lanes:
         """These lanes one place on, after a float32 of the program; the last is left out."""
-        places = [LANE_COUNT, *range(LANE_COUNT - 1)]
-        mask = ir.Constant(ir.VectorType(ir.IntType(32), LANE_COUNT), places)
-        before = Lanes.filled(self.builder, first)
-        return Lanes(self.builder, self.builder.shuffle_vector(self.value, before.value, mask))
+        return self.at([self.count, *range(self.count - 1)], Lanes.filled(self.builder, first, self.count))
 
-    def last(self) -> Any:
-        """The last lane: a float32 of the program."""
-        return self.builder.extract_element(self.value, ir.Constant(ir.IntType(32), LANE_COUNT - 1))
+    def lane(self, place: int) -> Any:
+        """One lane: a float32 of the program."""
+        return self.builder.extract_element(self.value, ir.Constant(_PLACE, place))
 
     def worked_out_here(self) -> Lanes:
         """The same lanes; what they follow from is not moved behind this, nor what follows from them before it.
 
         For processors with AVX-512 only.
         """
-        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        kind = ir.FunctionType(self.value.type, [self.value.type])
         nothing = ir.InlineAsm(kind, "", "=v,0", side_effect=True)
         return Lanes(self.builder, self.builder.call(nothing, [self.value]))
 
     def root(self) -> Lanes:
         """Square root."""
-        kind = ir.FunctionType(_VECTOR, [_VECTOR])
-        function = named_function(self.builder, kind, f"llvm.sqrt.v{LANE_COUNT}f32")
+        kind = ir.FunctionType(self.value.type, [self.value.type])
+        function = named_function(self.builder, kind, f"llvm.sqrt.v{self.count}f32")
         return Lanes(self.builder, self.builder.call(function, [self.value]))
 
     def positive_part(self) -> Lanes:
         """These lanes where they are above zero, else zero."""
-        return self.where_positive(self, Lanes.filled(self.builder, 0.0))
+        return self.where_positive(self, self._other(0.0))
 
     def lesser(self, other: Lanes) -> Lanes:
         """These lanes or the other's, whichever are less."""
@@ -179,13 +207,13 @@ class Lanes:
 
     def is_any_positive(self) -> Any:
         """Whether any lane is above zero: one bit of the program."""
-        positive = self.builder.fcmp_ordered(">", self.value, ir.Constant(_VECTOR, [0.0] * LANE_COUNT))
-        bits = ir.IntType(LANE_COUNT)
+        positive = self.builder.fcmp_ordered(">", self.value, self._other(0.0).value)
+        bits = ir.IntType(self.count)
         return self.builder.icmp_unsigned("!=", self.builder.bitcast(positive, bits), ir.Constant(bits, 0))
 
     def where_positive(self, mask: Lanes, other: Lanes) -> Lanes:
         """These lanes where the mask is above zero, the other's elsewhere."""
-        positive = self.builder.fcmp_ordered(">", mask.value, ir.Constant(_VECTOR, [0.0] * LANE_COUNT))
+        positive = self.builder.fcmp_ordered(">", mask.value, self._other(0.0).value)
         return Lanes(self.builder, self.builder.select(positive, self.value, other.value))
 
 
@@ -198,6 +226,8 @@ Vector = tuple[Lanes, Lanes, Lanes]
 
 class Window:
     """Where the lanes of one window and of its neighbours are, in the code being emitted."""
+
+    count = LANE_COUNT
 
     def __init__(self, builder: Any, rows: Any, window: Any) -> None:
         self.builder = builder
@@ -222,9 +252,63 @@ class Window:
         return x, y, z
 
 
+class CellWindow:
+    """Where the lanes of some parts of a window of cells are, and of the cells' corners, in the code being emitted.
+
+    A window of cells is CELL_PARTS times PART_LANES lanes that may lie apart: a lane's neighbours along j and k are at
+    a distance of its part's. Where parts follow each other two by two, each pair is loaded and stored at once.
+    """
+
+    def __init__(self, builder: Any, rows: Any, window: Any, parts: range, in_pairs: bool) -> None:
+        self.builder = builder
+        self.count = PART_LANES * len(parts)
+        self.pieces = [range(place, place + PART_LANES * (1 + in_pairs)) for place in range(0, self.count, PART_LANES)]
+        if in_pairs:
+            self.pieces = self.pieces[::2]
+        self._first_lane = PART_LANES * parts.start
+        row_count = len(CORNER_ROWS)
+        first = builder.mul(window, ir.Constant(_INDEX, CELL_PARTS * row_count))
+        self._starts = []
+        for part in parts[:: 1 + in_pairs]:
+            places = [builder.add(first, ir.Constant(_INDEX, row_count * part + row)) for row in range(row_count)]
+            self._starts.append([builder.load(builder.gep(rows, [place])) for place in places])
+
+    def pointer(self, piece: int, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> Any:
+        """Pointer to a component's lanes of a piece, by its number, at an offset (i, j, k)."""
+        i, j, k = offset
+        place = ir.Constant(_INDEX, component * BANK_LANES + i)
+        return self.builder.gep(data, [self.builder.add(self._starts[piece][j + 2 * k], place)])
+
+    def load(self, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> Lanes:
+        """A component's lanes at an offset."""
+        pointers = [self.pointer(piece, data, component, offset) for piece in range(len(self.pieces))]
+        return Lanes.joined([Lanes.loaded(self.builder, pointer, len(self.pieces[0])) for pointer in pointers])
+
+    def load_vector(self, data: Any, offset: tuple[int, int, int] = (0, 0, 0)) -> Vector:
+        """The lanes of the three components at an offset."""
+        x, y, z = (self.load(data, axis, offset) for axis in range(3))
+        return x, y, z
+
+    def store(self, value: Lanes, data: Any, component: int) -> None:
+        """Write a component's lanes."""
+        for piece, places in enumerate(self.pieces):
+            value.at([*places]).store(self.pointer(piece, data, component))
+
+    def number(self, numbers: Any, window: Any, which: int, count: int) -> Lanes:
+        """One of the ``count`` numbers of the window's lanes that lie side by side in memory."""
+        first = self.builder.mul(window, ir.Constant(_INDEX, count * CELL_LANES))
+        place = self.builder.add(first, ir.Constant(_INDEX, which * CELL_LANES + self._first_lane))
+        return Lanes.loaded(self.builder, self.builder.gep(numbers, [place]), self.count)
+
+
 def has_many_registers(context: Any) -> bool:
     """Whether the code being emitted is for a processor with 32 registers of 8 lanes: AVX-512, not AVX2 or NEON."""
     return "+avx512vl" in context.codegen().magic_tuple()[2]
+
+
+def has_wide_registers(context: Any) -> bool:
+    """Whether it is for one with 32 registers of 16 lanes."""
+    return "+avx512f" in context.codegen().magic_tuple()[2]
 
 
 _FLUSH = 0x8040

@@ -15,57 +15,90 @@ __all__ = [
     "write_lists",
 ]
 
-_GHOST_CELLS = 4
-_CELL_ROWS = (4, 5, 7, 8)
+_GHOST_CELLS, _PART_LANES, _CELL_PARTS, _CELL_LANES = 4, 4, 4, 16
+_CORNER_ROWS = (4, 5, 7, 8)
 """Rows around a window that its cells have corners in."""
 
 
 @kernel
-def lay_out_cells(corners, irregular, node_lane, node_slot, ghost_start, cell_lane, cell_slot, held, ghost_lane):
-    """Give cells their lanes: that of their lowest corner, or of that corner's ghost.
+def lay_out_cells(
+    corners, irregular, node_lane, node_slot, window_rows, ghost_start, cell_lane, cell_slot, rows, in_pairs, ghost_lane
+):
+    """Give cells their lanes: that of their lowest corner, or of that corner's ghost; and their places in windows.
+
+    A window of nodes has one part of a window of cells where its cells lie in four lanes, else two: these go to a
+    window of such pairs.
 
     Parameters
     ----------
     corners, irregular
         Nodes of the cells, and the cells whose corners have ghosts, ascending.
-    node_lane, node_slot, ghost_start
+    node_lane, node_slot, window_rows, ghost_start
         As of :class:`heartcase.simulator.engine.shared.lanes.LaneLayout`.
     cell_lane, cell_slot
-        Lane of each cell, and its window's number times 8 plus its place there; written.
-    held
-        Windows of nodes that hold a cell, ascending, shape (window_count,); written.
+        Lane of each cell, and its window's number times 16 plus its place there; written.
+    rows
+        Lane at each part's first i in the rows of its corners, shape (windows of all parts that there can be, 16); that
+        of an empty block at first; written.
+    in_pairs
+        Whether a window's parts follow each other two by two, shape (the same,); written.
     ghost_lane
         Lane of the ghost at each corner of the irregular cells; written.
 
     Returns
     -------
-    int
-        How many windows of nodes hold a cell.
+    tuple
+        How many windows hold a cell, and the first of those that hold ghosts.
     """
     is_irregular = np.zeros(len(corners), np.bool_)
     for cell in irregular:
         is_irregular[cell] = True
-    number = np.full(len(held), -1, np.int32)
+    # First and last place of a cell in each window of nodes; then its first part, and where that begins.
+    low, high = np.full(len(window_rows), 8, np.int32), np.full(len(window_rows), -1, np.int32)
     for cell in range(len(corners)):
         if not is_irregular[cell]:
-            number[node_slot[corners[cell, 0]] >> 3] = 0
+            slot = node_slot[corners[cell, 0]]
+            low[slot >> 3] = min(low[slot >> 3], slot & 7)
+            high[slot >> 3] = max(high[slot >> 3], slot & 7)
+    starts = rows.reshape(-1, len(_CORNER_ROWS))
+    # The window that is being filled with single parts and the one with pairs: number, and parts that it has.
+    number, filled = np.zeros(2, np.int64), np.full(2, _CELL_PARTS)
     count = 0
-    for window in range(len(number)):
-        if number[window] == 0:
-            held[count], number[window] = window, count
+    for window in range(len(window_rows)):
+        if high[window] < 0:
+            continue
+        is_pair = int(high[window] - low[window] >= _PART_LANES)
+        if filled[is_pair] == _CELL_PARTS:
+            number[is_pair], filled[is_pair] = count, 0
+            in_pairs[count] = is_pair
             count += 1
+        part = _CELL_PARTS * number[is_pair] + filled[is_pair]
+        low[window], high[window] = 0 if is_pair else min(low[window], _PART_LANES), part
+        for pair in range(1 + is_pair):
+            for row in range(len(_CORNER_ROWS)):
+                starts[part + pair, row] = window_rows[window, _CORNER_ROWS[row]] + low[window] + _PART_LANES * pair
+        filled[is_pair] += 1 + is_pair
     for cell in range(len(corners)):
         if not is_irregular[cell]:
             node = corners[cell, 0]
+            window = node_slot[node] >> 3
             cell_lane[cell] = node_lane[node]
-            cell_slot[cell] = 8 * number[node_slot[node] >> 3] + (node_slot[node] & 7)
+            cell_slot[cell] = _PART_LANES * high[window] + (node_slot[node] & 7) - low[window]
+    ghost_window = count
+    count += (2 * len(ghost_start) + _CELL_PARTS - 1) // _CELL_PARTS
+    in_pairs[ghost_window:count] = 1
+    for block in range(len(ghost_start)):
+        for pair in range(2):
+            part = _CELL_PARTS * ghost_window + 2 * block + pair
+            for row in range(len(_CORNER_ROWS)):
+                starts[part, row] = ghost_start[block] + 8 * row + _PART_LANES * pair
     for place in range(len(irregular)):
-        window, own = place // _GHOST_CELLS, 2 * (place % _GHOST_CELLS)
-        lane = ghost_start[window] + own
-        cell_lane[irregular[place]], cell_slot[irregular[place]] = lane, 8 * (count + window) + own
+        block, own = place // _GHOST_CELLS, 2 * (place % _GHOST_CELLS)
+        lane = ghost_start[block] + own
+        cell_lane[irregular[place]], cell_slot[irregular[place]] = lane, _CELL_LANES * ghost_window + 8 * block + own
         for corner in range(8):
             ghost_lane[place, corner] = lane + (corner & 1) + 8 * (corner >> 1)
-    return count
+    return count, ghost_window
 
 
 @kernel
@@ -77,7 +110,7 @@ def ranges_touched(corners, node_lane, cell_slot, rows, ghost_window, cell_in, r
     corners, node_lane
         Nodes of the cells, and each node's lane.
     cell_slot, rows, ghost_window
-        Each cell's window times 8 plus its place there, the rows of these windows, and the first that holds ghosts.
+        Each cell's window times 16 plus its place there, the rows of these windows, and the first that holds ghosts.
     cell_in
         Cell in each place of the windows, -1 for none; written.
     ranges
@@ -94,8 +127,8 @@ def ranges_touched(corners, node_lane, cell_slot, rows, ghost_window, cell_in, r
     count = 0
     for window in range(len(rows)):
         place = 0
-        while place < 8:
-            cell = cell_in[U(8 * window + place)]
+        while place < _CELL_LANES:
+            cell = cell_in[U(_CELL_LANES * window + place)]
             place += 1
             if cell < 0:
                 continue
@@ -105,12 +138,12 @@ def ranges_touched(corners, node_lane, cell_slot, rows, ghost_window, cell_in, r
                     ranges[count, 0], ranges[count, 1], ranges[count, 2] = window, lane, lane
                     count += 1
                 continue
-            # Corners of cells that follow each other lie in as many lanes of four rows, and one more.
-            low = place - 1
-            while place < 8 and cell_in[U(8 * window + place)] >= 0:
+            # Corners of cells of a part that follow each other lie in as many lanes of four rows, and one more.
+            low, part = place - 1, (place - 1) // _PART_LANES
+            while place < _PART_LANES * (part + 1) and cell_in[U(_CELL_LANES * window + place)] >= 0:
                 place += 1
-            for row in _CELL_ROWS:
-                lane = rows[U(window), U(row)]
+            for number in range(len(_CORNER_ROWS)):
+                lane = rows[U(window), U(len(_CORNER_ROWS) * part + number)] - _PART_LANES * part
                 ranges[U(count), U(0)] = window
                 ranges[U(count), U(1)], ranges[U(count), U(2)] = lane + low, lane + place
                 count += 1
@@ -131,10 +164,10 @@ def write_lists(numbers, firsts, lists):
 
 @kernel
 def number_by_window(values, cell_in, first, numbers):
-    """Write numbers of the cells, shape (any, cell_count), by window behind the first, shape (count, any, 8)."""
+    """Write numbers of the cells, shape (any, cell_count), by window behind the first, shape (count, any, 16)."""
     for window in range(len(numbers)):
-        for place in range(8):
-            cell = cell_in[8 * window + place]
+        for place in range(_CELL_LANES):
+            cell = cell_in[_CELL_LANES * window + place]
             if cell >= 0:
                 for number in range(len(values)):
                     numbers[window, first + number, place] = values[number, cell]

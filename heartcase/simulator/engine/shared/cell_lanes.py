@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Int32, Int64
+from heartcase.schemas.arrays import Float32, Int8, Int32, Int64
 from heartcase.simulator.engine.shared.cell_kernels import (
     lay_out_cells,
     number_by_window,
@@ -16,11 +16,11 @@ from heartcase.simulator.engine.shared.cell_kernels import (
 )
 from heartcase.simulator.engine.shared.lane_kernels import list_windows
 from heartcase.simulator.engine.shared.lanes import (
+    CELL_LANES,
     CELL_NUMBERS,
+    CELL_PARTS,
+    CORNER_ROWS,
     EMPTY_START,
-    GHOST_ROWS,
-    LANE_COUNT,
-    ROWS,
     LaneLayout,
 )
 from heartcase.simulator.forces.cell_forces import tissue_spread
@@ -69,31 +69,31 @@ class CellLayout:
     cell_lane: Int64
     """Lane of each cell, shape (cell_count,)."""
     cell_slot: Int64
-    """Number of the cell's window times 8 plus its place there, shape (cell_count,)."""
+    """Number of the cell's window times CELL_LANES plus its place there, shape (cell_count,)."""
     window_rows: Int64
-    """Rows of the windows that hold a cell, shape (count, 9); last those of ghosts."""
+    """Lane at the first i of each part of the windows that hold a cell, in the rows of the corners (CORNER_ROWS), part
+    by part, shape (count, CELL_PARTS * 4); in an empty block where there is no part. Last those of ghosts."""
+    in_pairs: Int8
+    """Whether a window's parts follow each other in their rows two by two, else 0, shape (count,)."""
+    ghost_window: int
+    """First window that holds ghosts."""
     touches: Int64
     """Windows of nodes that the cells of each of these windows have corners in, then -1, shape (count, 8 or more)."""
     ghost_lane: Int64
     """Lane of the ghost at each corner of the irregular cells, shape (irregular_count, 8)."""
 
     cell_in: Int32 = field(repr=False, compare=False)
-    """Cell in each place of the windows, -1 for none, shape (8 * count,)."""
-
-    @property
-    def ghost_window(self) -> int:
-        """First window that holds ghosts."""
-        return len(self.window_rows) - len(self.layout.ghost_start)
+    """Cell in each place of the windows, -1 for none, shape (CELL_LANES * count,)."""
 
     def write_by_window(self, values: Float32, first: int, numbers: Float32) -> None:
         """Write numbers of each cell, shape (any, cell_count), of each window's lanes by themselves.
 
-        ``numbers``: shape (count, any, 8), zeros at first; behind the first so many are written.
+        ``numbers``: shape (count, any, CELL_LANES), zeros at first; behind the first so many are written.
         """
         number_by_window(values, self.cell_in, first, numbers)
 
     def write_numbers(self, model: LatticeModel, numbers: Float32) -> None:
-        """Write :func:`cell_numbers` of each window's lanes by themselves into zeros, shape (count, 11, 8)."""
+        """Write :func:`cell_numbers` of each window's lanes by themselves into zeros, (count, 11, CELL_LANES)."""
         if model.law.is_element:
             self.write_by_window(cell_numbers(model), 0, numbers)
             return
@@ -123,17 +123,19 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
     """Lay out the cells of a lattice in the lanes of its nodes."""
     irregular, corners = layout.irregular_cells, model.cell_corners
     cell_lane, cell_slot = np.empty(model.cell_count, np.int64), np.empty(model.cell_count, np.int64)
-    held, ghost_lane = np.empty(layout.window_count, np.int64), np.empty((len(irregular), 8), np.int64)
-    lanes = (layout.node_lane, layout.node_slot, layout.ghost_start)
-    held_count = lay_out_cells(corners, irregular, *lanes, cell_lane, cell_slot, held, ghost_lane)
-    rows = np.full((held_count + len(layout.ghost_start), len(ROWS)), EMPTY_START)
-    np.take(layout.window_rows, held[:held_count], axis=0, out=rows[:held_count])
-    rows[held_count:, GHOST_ROWS] = layout.ghost_start[:, None] + LANE_COUNT * np.arange(len(GHOST_ROWS))
-    cell_in, firsts = np.empty(LANE_COUNT * len(rows), np.int32), np.empty(len(rows) + 1, np.int64)
+    ghost_lane = np.empty((len(irregular), 8), np.int64)
+    # Two parts for each window of nodes and one of ghosts; three windows may not be full.
+    most = 2 * (layout.window_count + len(layout.ghost_start)) // CELL_PARTS + 3
+    in_pairs = np.zeros(most, np.int8)
+    rows = np.full((most, CELL_PARTS * len(CORNER_ROWS)), EMPTY_START)
+    lanes = (layout.node_lane, layout.node_slot, layout.window_rows, layout.ghost_start)
+    count, ghost_window = lay_out_cells(corners, irregular, *lanes, cell_lane, cell_slot, rows, in_pairs, ghost_lane)
+    rows, in_pairs = rows[:count], in_pairs[:count]
+    cell_in, firsts = np.empty(CELL_LANES * len(rows), np.int32), np.empty(len(rows) + 1, np.int64)
     # Each cell has eight corners, in a window each at most.
     ranges, room = np.empty((8 * model.cell_count, 3), np.int64), np.empty(8 * model.cell_count, np.int32)
-    count = ranges_touched(corners, layout.node_lane, cell_slot, rows, held_count, cell_in, ranges)
-    longest = list_windows(ranges[:count], *layout.windows_by_lanes, room, firsts)
+    range_count = ranges_touched(corners, layout.node_lane, cell_slot, rows, ghost_window, cell_in, ranges)
+    longest = list_windows(ranges[:range_count], *layout.windows_by_lanes, room, firsts)
     touches = np.empty((len(rows), max(8, longest)), np.int64)
     write_lists(room, firsts, touches)
     return CellLayout(
@@ -141,6 +143,8 @@ def cell_layout(model: LatticeModel, layout: LaneLayout) -> CellLayout:
         cell_lane=cell_lane,
         cell_slot=cell_slot,
         window_rows=rows,
+        in_pairs=in_pairs,
+        ghost_window=ghost_window,
         touches=touches,
         ghost_lane=ghost_lane,
         cell_in=cell_in,

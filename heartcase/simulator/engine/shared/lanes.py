@@ -46,11 +46,14 @@ from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = [
     "BANK_LANES",
+    "CELL_LANES",
     "CELL_NUMBERS",
+    "CELL_PARTS",
+    "CORNER_ROWS",
     "EMPTY_START",
     "GHOST_CELLS",
-    "GHOST_ROWS",
     "LANE_COUNT",
+    "PART_LANES",
     "ROWS",
     "SHARE_NUMBERS",
     "LaneLayout",
@@ -79,8 +82,13 @@ _BANK_NUMBERS = CELL_NUMBERS
 _HEAD_BLOCKS = 3
 GHOST_CELLS = 4
 """Irregular cells whose ghosts share a window: a cell takes two lanes in each of four rows."""
-GHOST_ROWS = (4, 5, 7, 8)
-"""Numbers in ROWS of the rows that a cell has corners in."""
+CORNER_ROWS = (4, 5, 7, 8)
+"""Numbers in ROWS of the rows that a cell has corners in, by the corner's j + 2 k."""
+PART_LANES = 4
+"""Lanes of a part of a window of cells, all in one window of nodes: in a heart, of eight half are empty."""
+CELL_PARTS = 4
+CELL_LANES = PART_LANES * CELL_PARTS
+"""Cells of a window of cells, one AVX-512 register in float32; other processors work out a part of them at a time."""
 EMPTY_START = LANE_COUNT
 """First lane of a block that never holds a node."""
 
@@ -312,11 +320,11 @@ def lane_layout(model: LatticeModel, *, in_banks: bool = False) -> LaneLayout:
         near_cells = rows_near_copies(model, layout, around, is_copied)
         irregular = irregular_cells(model, layout, near_cells)
         layout = replace(layout, near_cells=near_cells[0])
-        ghost_blocks = np.full(-(-len(irregular) // GHOST_CELLS), len(GHOST_ROWS))
-        room = capacity if in_banks else capacity + (len(GHOST_ROWS) + 1) * len(ghost_blocks)
+        ghost_blocks = np.full(-(-len(irregular) // GHOST_CELLS), len(CORNER_ROWS))
+        room = capacity if in_banks else capacity + (len(CORNER_ROWS) + 1) * len(ghost_blocks)
         ghost_start = _run_starts(np.concatenate([block_counts, ghost_blocks]), room)[run_count:]
         if len(irregular):
-            last = int(ghost_start[-1]) + LANE_COUNT * (len(GHOST_ROWS) + 1)
+            last = int(ghost_start[-1]) + LANE_COUNT * (len(CORNER_ROWS) + 1)
             layout = replace(layout, lane_count=last, irregular_cells=irregular, ghost_start=ghost_start)
             layout = layout if in_banks else replace(layout, stride=last)
     return layout
