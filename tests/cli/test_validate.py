@@ -290,3 +290,13 @@ def test_a_misspelled_command_is_told_with_the_nearest_one(capsys: pytest.Captur
     assert capsys.readouterr().err.count("build") == 1
     assert main(["qqqq"]) == 2
     assert "mean" not in capsys.readouterr().err
+
+
+def test_a_scan_that_is_not_there_is_told_beside_markers_that_are_missing(tmp_path, capsys):
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text('heartcase_recipe = 1\nname = "x"\n[scan]\npath = "nowhere.nii.gz"\n', encoding="utf-8")
+    assert main(["validate", str(recipe)]) == 1
+    said = capsys.readouterr().out
+    assert "2 problems found" in said
+    assert "scan.path: there is no such file" in said
+    assert "the watershed needs markers" in said

@@ -13,8 +13,8 @@ from heartcase.cli.shared.tours import tour_findings
 from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.check import check_bundle
-from heartcase.schemas.errors import HeartcaseError, Problem, UsageError
-from heartcase.schemas.recipe.recipe import Recipe, load_recipe
+from heartcase.schemas.errors import HeartcaseError, Problem, RecipeError, UsageError
+from heartcase.schemas.recipe.recipe import Recipe, load_recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.recording.reader import check_recording, is_recording
 from heartcase.schemas.scripts.script import SimulationScript
 from heartcase.schemas.touring.reading import is_tour
@@ -87,6 +87,8 @@ def _findings(path: Path) -> _Findings:
             load_script(path)
             return _Findings()
         recipe = load_recipe(path)
+    except RecipeError as error:
+        return _Findings((*error.problems, *_missing_beside(path)))
     except HeartcaseError as error:
         return _Findings(error.problems)
     inputs = _input_findings(recipe, path.parent)
@@ -96,6 +98,14 @@ def _findings(path: Path) -> _Findings:
     from heartcase.pipeline.building.lock import changed_files
 
     return _Findings((*problems, *changed_files(recipe, path.parent)), inputs.warnings)
+
+
+def _missing_beside(path: Path) -> tuple[Problem, ...]:
+    """Files that are not there, of a recipe that is wrong; none where it lacks more than markers."""
+    try:
+        return parse_recipe(read_recipe_text(path), needs_markers=False).missing_files(path.parent)
+    except RecipeError:
+        return ()
 
 
 def _input_findings(recipe: Recipe, directory: Path) -> _Findings:
