@@ -56,15 +56,16 @@ def lay_out_cells(
     # First and last place of a cell in each window of nodes; then its first part, and where that begins.
     low, high = np.full(len(window_rows), 8, np.int32), np.full(len(window_rows), -1, np.int32)
     for cell in range(len(corners)):
-        if not is_irregular[cell]:
-            slot = node_slot[corners[cell, 0]]
-            low[slot >> 3] = min(low[slot >> 3], slot & 7)
-            high[slot >> 3] = max(high[slot >> 3], slot & 7)
+        if not is_irregular[U(cell)]:
+            slot = node_slot[U(corners[U(cell), U(0)])]
+            window, place = U(slot >> 3), slot & 7
+            low[window], high[window] = min(low[window], place), max(high[window], place)
     starts = rows.reshape(-1, len(_CORNER_ROWS))
     # The window that is being filled with single parts and the one with pairs: number, and parts that it has.
     number, filled = np.zeros(2, np.int64), np.full(2, _CELL_PARTS)
     count = 0
-    for window in range(len(window_rows)):
+    for each in range(len(window_rows)):
+        window = U(each)
         if high[window] < 0:
             continue
         is_pair = int(high[window] - low[window] >= _PART_LANES)
@@ -76,14 +77,15 @@ def lay_out_cells(
         low[window], high[window] = 0 if is_pair else min(low[window], _PART_LANES), part
         for pair in range(1 + is_pair):
             for row in range(len(_CORNER_ROWS)):
-                starts[part + pair, row] = window_rows[window, _CORNER_ROWS[row]] + low[window] + _PART_LANES * pair
+                lane = window_rows[window, U(_CORNER_ROWS[row])] + low[window] + _PART_LANES * pair
+                starts[U(part + pair), U(row)] = lane
         filled[is_pair] += 1 + is_pair
     for cell in range(len(corners)):
-        if not is_irregular[cell]:
-            node = corners[cell, 0]
-            window = node_slot[node] >> 3
-            cell_lane[cell] = node_lane[node]
-            cell_slot[cell] = _PART_LANES * high[window] + (node_slot[node] & 7) - low[window]
+        if not is_irregular[U(cell)]:
+            node = U(corners[U(cell), U(0)])
+            window, place = U(node_slot[node] >> 3), node_slot[node] & 7
+            cell_lane[U(cell)] = node_lane[node]
+            cell_slot[U(cell)] = _PART_LANES * high[window] + place - low[window]
     ghost_window = count
     count += (2 * len(ghost_start) + _CELL_PARTS - 1) // _CELL_PARTS
     in_pairs[ghost_window:count] = 1
