@@ -4,9 +4,9 @@
     heartcase studio FOLDER/latency.toml
     python -m tests.studio.socket_frames ADDRESS [--strokes 16] [--mm-per-pixel 0.55] [--apart-ms 40] [--preview]
 
-ADDRESS is what ``heartcase studio`` printed. Strokes as ``tests.studio.page.latency`` draws them, with the three planes of
-the scan looked at, and the rest asked for as the page does; all is taken back. With ``--preview`` the quick surface is
-asked for after each stroke, and a stroke follows the next one only when it came.
+ADDRESS is what ``heartcase studio`` printed. Strokes as ``tests.studio.page.latency`` draws them, with the three planes
+of the scan looked at, and the rest asked for as the page does; all is taken back. With ``--preview`` the quick surface
+is asked for after each stroke, and the next stroke begins when it came.
 """
 
 from __future__ import annotations
