@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from heartcase.pipeline.data import UNMARKED, Segmentation, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.reader import ownership_at_points
+from heartcase.pipeline.kernels.parallel import in_one_thread
 from heartcase.pipeline.mesh.extraction.extract import extract
 from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.pipeline.walls.septa import open_places
@@ -30,6 +32,8 @@ VOXELS = 90_000
 """Voxels of the coarse lattice: what is quick."""
 MOST_VOXELS = 1_500_000
 """Up to so many all voxels are taken, where an end or an edit meets nothing on the coarse lattice."""
+MOST_IN_ONE_THREAD = 2 * VOXELS
+"""Voxels up to which one thread makes the surface."""
 POINTS = 500_000
 """Points of the lattice that the surface is extracted on."""
 FIRST_SHARE = 0.2
@@ -94,7 +98,7 @@ def quick_surface(
         asked, ends = _without(recipe, wrong)
         for one in tries:
             try:
-                return _surface(_structures(one, asked, strokes), one, problems, share)
+                return _made(one, asked, strokes, problems, share)
             except StageError as error:
                 found = tuple(_as_in_recipe(problem, ends) for problem in error.problems)
         problems = (*problems, *(one for one in found if one not in problems))
@@ -105,11 +109,11 @@ def quick_surface(
     # where no line is to blame, all edits are left out, and then all ends
     plain = asked.model_copy(update={"edits": ()})
     try:
-        return _surface(_structures(coarse, plain, strokes), coarse, problems, share)
+        return _made(coarse, plain, strokes, problems, share)
     except StageError as error:
         problems = (*(one for one in error.problems if one not in problems), *problems)
     bare = plain.model_copy(update={"ends": (), "walls": recipe.walls.model_copy(update={"find_ends": False})})
-    return _surface(_structures(coarse, bare, strokes), coarse, problems, share)
+    return _made(coarse, bare, strokes, problems, share)
 
 
 def _without(recipe: Recipe, wrong: frozenset[_Line]) -> tuple[Recipe, list[int]]:
@@ -137,13 +141,23 @@ def _as_in_recipe(problem: Problem, ends: Sequence[int]) -> Problem:
     return replace(problem, place=_LINE.sub(f"{name}[{ends[number - 1]}]", problem.place))
 
 
+def _made(
+    segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke], problems: tuple[Problem, ...], share: float
+) -> QuickSurface:
+    """The surface of these labels: of few in one thread, as strokes and pictures need the cores too."""
+    is_little = segmentation.labels.size <= MOST_IN_ONE_THREAD
+    with in_one_thread() if is_little else nullcontext():
+        return _surface(_structures(segmentation, recipe, strokes), segmentation, problems, share)
+
+
 def _structures(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke]) -> Structures:
     walls = recipe.walls_to_grow
     painted = (*recipe.strokes, *strokes)
     places = (
         open_places(painted, recipe.landmarks, recipe.table, recipe.walls.contact) if walls.septa == "grown" else ()
     )
-    return apply_edits(grow_walls(segmentation, walls, recipe.ends, open_places=places), recipe.edits)
+    grown = grow_walls(segmentation, walls, recipe.ends, open_places=places, is_measured=False)
+    return apply_edits(grown, recipe.edits)
 
 
 def _surface(
