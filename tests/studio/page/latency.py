@@ -170,6 +170,7 @@ def main() -> int:
             tab.locator("#preview-on").check()
             tab.locator("#preview-state").get_by_text("", exact=True).wait_for(state="attached")
             tab.wait_for_timeout(5000)
+            tab.evaluate("() => window.surfaces.splice(0)")
         for number in range(given.preview):
             tab.keyboard.press(str(number % 5))
             tab.mouse.move(middle[0] + 30 * math.cos(number), middle[1] + 30 * math.sin(number))

@@ -8,7 +8,7 @@ import { language, say } from "../shared/words.js";
 /** @typedef {import("./shaping.js").Ask} Ask */
 
 /** Strokes and acts that follow on each other at once are waited for. */
-const WAIT_MS = 20;
+const WAIT_MS = 5;
 /** Until the first look is followed by the fine one. */
 const FINE_AFTER_MS = 500;
 
@@ -50,6 +50,11 @@ export class Preview {
 
   async #make() {
     if (this.#isMaking || !this.isOn.value) return;
+    // a stroke that is being drawn needs the server, and its end brings a first look
+    if (!this.#isCoarse && this.views.studio.stroke.value !== null) {
+      this.#later(FINE_AFTER_MS);
+      return;
+    }
     this.#isMaking = this.isBusy.value = true;
     try {
       while (this.#isStale && this.isOn.value) {
