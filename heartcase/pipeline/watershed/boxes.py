@@ -7,7 +7,7 @@ import numpy as np
 from heartcase.pipeline.watershed.painting import TILE
 from heartcase.schemas.arrays import Int64
 
-__all__ = ["Box", "around_both", "as_box", "in_parts", "tiles_around", "within"]
+__all__ = ["Box", "around_both", "as_box", "in_parts", "tiles_around", "voxels_in", "within"]
 
 Box = tuple[slice, slice, slice]
 
@@ -33,6 +33,24 @@ def tiles_around(box: Box) -> Box:
     """The tiles that a box meets."""
     k, j, i = (slice(one.start // TILE, -(-one.stop // TILE)) for one in box)
     return k, j, i
+
+
+def voxels_in(low: Int64, high: Int64, shape: tuple[int, ...]) -> Int64:
+    """Flat indices of the voxels of boxes in a volume of this shape [z, y, x], int64: box by box, i fastest.
+
+    Parameters
+    ----------
+    low, high
+        First (z, y, x) of each box, and that behind the last, shape (n, 3).
+    shape
+        The volume's.
+    """
+    _, ny, nx = shape
+    found = []
+    for first, behind in zip(low, high, strict=True):
+        k, j, i = (np.arange(one, other, dtype=np.int64) for one, other in zip(first, behind, strict=True))
+        found.append(((k[:, None, None] * ny + j[:, None]) * nx + i).ravel())
+    return np.concatenate(found)
 
 
 def in_parts(low: Int64, high: Int64) -> tuple[Int64, Int64]:
