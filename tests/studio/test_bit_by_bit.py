@@ -71,7 +71,7 @@ strokes = st.tuples(st.just("paint"), st.sampled_from([*NAMES, None]), points, p
 steps = st.one_of(
     strokes,
     looks,
-    st.tuples(st.sampled_from(["undo", "rest", "join"]), st.integers(0, 1)),
+    st.tuples(st.sampled_from(["undo", "rest", "join", "glance"]), st.integers(0, 1)),
     strokes,
     st.just(("extend", (0.5, 0.5, 0.5))),
 )
@@ -125,6 +125,9 @@ def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(
             elif what == "join":
                 # somebody wants everything at once
                 np.testing.assert_array_equal(session.labels, plain.labels)
+            elif what == "glance":
+                some = np.s_[how[0] :: 3, 1:-1:2, ::4]
+                np.testing.assert_array_equal(session.thinned_labels(some), plain.labels[some])
             for one in pages:
                 one.shown.note(session.put_off_tiles)
             for one in pages:

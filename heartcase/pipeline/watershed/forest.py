@@ -249,15 +249,14 @@ class Forest:
             What lies outside of the volume is left out. A tile is settled where one of them is all of it.
         """
         changed = np.zeros_like(self.put_off)
-        boxes = [within(box, self.labels.shape) for box in boxes]
-        boxes = [box for box in boxes if self.put_off[tiles_around(box)].any()]
+        inside = (within(box, self.labels.shape) for box in boxes)
+        boxes = [box for box in inside if self.put_off[tiles_around(box)].any()]
         if not boxes:
             return
         bounds = np.array([[[one.start, one.stop] for one in box] for box in boxes], np.int64)
         low, high = bounds[..., 0], bounds[..., 1]
         if (high - low).prod(axis=1).sum() <= MOST_ONE_BY_ONE:
-            voxels = voxels_in(low, high, self.labels.shape)
-            self._paint_voxels(voxels, self.tree.basin.ravel()[voxels], changed)
+            self.settle_voxels(voxels_in(low, high, self.labels.shape))
         else:
             self._paint_boxes(low, high, changed)
         for box in boxes:
@@ -270,10 +269,13 @@ class Forest:
 
     def settle_sight(self, sight: Sight) -> None:
         """Work out the labels that a plane shows; no tile is settled by that."""
-        if not self.put_off[sight.tiles].any():
-            return
+        if self.put_off[sight.tiles].any():
+            self.settle_voxels(sight.voxel, sight.basin)
+
+    def settle_voxels(self, voxels: Int64, basins: Int32 | None = None) -> None:
+        """Work out the labels of voxels, flat indices, whose basins may be known; no tile is settled by that."""
         changed = np.zeros_like(self.put_off)
-        self._paint_voxels(sight.voxel, sight.basin, changed)
+        self._paint_voxels(voxels, self.tree.basin.ravel()[voxels] if basins is None else basins, changed)
         self.stamps[changed] = self.stamps.max() + 1
 
     @property
@@ -396,8 +398,7 @@ class Forest:
         solved = self._solution() if self._is_behind else None
         feet = (solved.hanging.place, solved.group, solved.label) if solved else (none, none, self.foot_label)
         marks, labels = self.marks.reshape(-1), self.labels.reshape(-1)
-        shape = self.labels.shape
-        paint_sight(voxels, basins, feet, self._landscape, marks, self.lowest_mark, labels, shape, changed)
+        paint_sight(voxels, basins, feet, self._landscape, marks, self.lowest_mark, labels, self.labels.shape, changed)
 
     def _paint_boxes(self, low: Int64, high: Int64, changed: Bool) -> None:
         """The same for all voxels of boxes, side by side."""
@@ -405,8 +406,8 @@ class Forest:
         if self._table is None:
             self._table = feet.copy()
             self._table[self._marked_basins()] = MARKED_BASIN
-        marks = self.marks.reshape(-1)
-        paint_boxes(*in_parts(low, high), self._table, *self._landscape[1:], marks, feet, self.labels, changed)
+        landscape, marks = self._landscape[1:], self.marks.reshape(-1)
+        paint_boxes(*in_parts(low, high), self._table, *landscape, marks, feet, self.labels, changed)
 
     def _paint_whole(self) -> Box | None:
         self.stamps[self.put_off] = self.stamps.max() + 1
