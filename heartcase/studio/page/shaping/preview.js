@@ -25,11 +25,12 @@ export class Preview {
   #isCoarse = false;
   #timer = 0;
 
-  /** @param {Views} views @param {Ask} ask @param {(error: unknown) => void} onFault */
-  constructor(views, ask, onFault) {
+  /** @param {Views} views @param {Ask} ask @param {(error: unknown) => void} onFault @param {() => boolean} waits whether the fine look waits */
+  constructor(views, ask, onFault, waits) {
     this.views = views;
     this.ask = ask;
     this.onFault = onFault;
+    this.waits = waits;
     this.isOn.listen((isOn) => {
       if (isOn) this.refresh();
     });
@@ -50,8 +51,7 @@ export class Preview {
 
   async #make() {
     if (this.#isMaking || !this.isOn.value) return;
-    // a stroke that is being drawn needs the server, and its end brings a first look
-    if (!this.#isCoarse && this.views.studio.stroke.value !== null) {
+    if (!this.#isCoarse && this.waits()) {
       this.#later(FINE_AFTER_MS);
       return;
     }
@@ -98,10 +98,11 @@ export class Preview {
  * @param {Views} views
  * @param {Ask} ask
  * @param {(error: unknown) => void} onFault
+ * @param {() => boolean} waits whether the fine look waits: a stroke is being drawn, or labels have still to come
  */
-export function runPreview(views, ask, onFault) {
+export function runPreview(views, ask, onFault, waits) {
   const find = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
-  const preview = new Preview(views, ask, onFault);
+  const preview = new Preview(views, ask, onFault, waits);
   const switches = /** @type {const} */ ([["preview-on", preview.isOn], ["preview-cut", preview.cuts]]);
   for (const [id, signal] of switches) {
     const box = /** @type {HTMLInputElement} */ (find(id));
