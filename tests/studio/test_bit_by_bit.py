@@ -71,7 +71,7 @@ strokes = st.tuples(st.just("paint"), st.sampled_from([*NAMES, None]), points, p
 steps = st.one_of(
     strokes,
     looks,
-    st.tuples(st.sampled_from(["undo", "rest", "join"]), st.integers(0, 1)),
+    st.tuples(st.sampled_from(["undo", "rest", "join", "glance"]), st.integers(0, 1)),
     strokes,
     st.just(("extend", (0.5, 0.5, 0.5))),
 )
@@ -84,14 +84,18 @@ steps = st.one_of(
     most=st.sampled_from([0, 10**9]),
     behind=st.sampled_from([(0, 1.0), (0, 0.03), (10**9, 0.0)]),
     mended=st.sampled_from([0.005, 0.005, 0.5]),
+    one_by_one=st.sampled_from([0, 10**9]),
 )
-def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(tree, todo, at_once, most, behind, mended):
+def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(
+    tree, todo, at_once, most, behind, mended, one_by_one
+):
     geometry = lattice()
 
     def place(point):
         return geometry.index_to_world(np.array(point) * (np.array(SHAPE[::-1]) - 1)).tolist()
 
     limits = {"BEHIND_FROM": behind[0], "FEW_MARKED": behind[1], "MOST_MENDED": mended}
+    limits["MOST_ONE_BY_ONE"] = one_by_one
     with patch.multiple(forest_module, MOST_AT_ONCE=at_once, MOST_LISTED=most, **limits):
         session, plain = SegmentationSession(tree, geometry, TABLE), SegmentationSession(tree, geometry, TABLE)
         session.put_off()
@@ -121,6 +125,9 @@ def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(tree, todo, at
             elif what == "join":
                 # somebody wants everything at once
                 np.testing.assert_array_equal(session.labels, plain.labels)
+            elif what == "glance":
+                some = np.s_[how[0] :: 3, 1:-1:2, ::4]
+                np.testing.assert_array_equal(session.thinned_labels(some), plain.labels[some])
             for one in pages:
                 one.shown.note(session.put_off_tiles)
             for one in pages:

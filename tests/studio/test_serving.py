@@ -1,7 +1,9 @@
 """``heartcase studio`` as a process of its own."""
 
+import asyncio
 import re
 import signal
+import socket
 import subprocess
 import sys
 import urllib.error
@@ -12,6 +14,7 @@ import pytest
 
 from heartcase.cli.main import main
 from heartcase.pipeline.building.session_file import open_session
+from heartcase.studio.serving.serve import listening
 from tests.cli.small_case import write_case, write_scan
 from tests.studio.talking import write_recipe
 
@@ -85,3 +88,22 @@ def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys, monkeypatch):
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1
+
+
+def test_no_message_waits_until_the_one_before_is_acknowledged():
+    async def sends_at_once():
+        found = asyncio.get_running_loop().create_future()
+
+        def connected(_, writer):
+            line = writer.get_extra_info("socket")
+            found.set_result(line.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        with listening(0) as listener:
+            async with await asyncio.start_server(connected, sock=listener):
+                _, writer = await asyncio.open_connection(*listener.getsockname())
+                value = await found
+                writer.close()
+        return value
+
+    assert asyncio.run(sends_at_once())

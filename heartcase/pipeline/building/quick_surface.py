@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,21 +16,33 @@ import numpy as np
 from heartcase.pipeline.data import UNMARKED, Segmentation, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.reader import ownership_at_points
+from heartcase.pipeline.kernels.parallel import in_one_thread
 from heartcase.pipeline.mesh.extraction.extract import extract
 from heartcase.pipeline.walls.grow_walls import grow_walls
 from heartcase.pipeline.walls.septa import open_places
-from heartcase.schemas.arrays import Bool, Float32, Float64, Int8, Int32, UInt8
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int8, Int32, Int64, UInt8
 from heartcase.schemas.errors import Problem, StageError
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
 from heartcase.schemas.recipe.recipe import Recipe
 from heartcase.schemas.recipe.settings import Stroke
 
-__all__ = ["QuickSurface", "quick_surface"]
+__all__ = [
+    "FIRST_SHARE",
+    "VOXELS",
+    "QuickSurface",
+    "quick_surface",
+    "room_around",
+    "thinned_lattice",
+    "thinning_steps",
+]
 
 VOXELS = 90_000
 """Voxels of the coarse lattice: what is quick."""
 MOST_VOXELS = 1_500_000
 """Up to so many all voxels are taken, where an end or an edit meets nothing on the coarse lattice."""
+MOST_IN_ONE_THREAD = 2 * VOXELS
+"""Voxels up to which one thread makes the surface."""
 POINTS = 500_000
 """Points of the lattice that the surface is extracted on."""
 FIRST_SHARE = 0.2
@@ -94,7 +107,7 @@ def quick_surface(
         asked, ends = _without(recipe, wrong)
         for one in tries:
             try:
-                return _surface(_structures(one, asked, strokes), one, problems, share)
+                return _made(one, asked, strokes, problems, share)
             except StageError as error:
                 found = tuple(_as_in_recipe(problem, ends) for problem in error.problems)
         problems = (*problems, *(one for one in found if one not in problems))
@@ -105,11 +118,11 @@ def quick_surface(
     # where no line is to blame, all edits are left out, and then all ends
     plain = asked.model_copy(update={"edits": ()})
     try:
-        return _surface(_structures(coarse, plain, strokes), coarse, problems, share)
+        return _made(coarse, plain, strokes, problems, share)
     except StageError as error:
         problems = (*(one for one in error.problems if one not in problems), *problems)
     bare = plain.model_copy(update={"ends": (), "walls": recipe.walls.model_copy(update={"find_ends": False})})
-    return _surface(_structures(coarse, bare, strokes), coarse, problems, share)
+    return _made(coarse, bare, strokes, problems, share)
 
 
 def _without(recipe: Recipe, wrong: frozenset[_Line]) -> tuple[Recipe, list[int]]:
@@ -137,13 +150,23 @@ def _as_in_recipe(problem: Problem, ends: Sequence[int]) -> Problem:
     return replace(problem, place=_LINE.sub(f"{name}[{ends[number - 1]}]", problem.place))
 
 
+def _made(
+    segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke], problems: tuple[Problem, ...], share: float
+) -> QuickSurface:
+    """The surface of these labels: of few in one thread, as strokes and pictures need the cores too."""
+    is_little = segmentation.labels.size <= MOST_IN_ONE_THREAD
+    with in_one_thread() if is_little else nullcontext():
+        return _surface(_structures(segmentation, recipe, strokes), segmentation, problems, share)
+
+
 def _structures(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke]) -> Structures:
     walls = recipe.walls_to_grow
     painted = (*recipe.strokes, *strokes)
     places = (
         open_places(painted, recipe.landmarks, recipe.table, recipe.walls.contact) if walls.septa == "grown" else ()
     )
-    return apply_edits(grow_walls(segmentation, walls, recipe.ends, open_places=places), recipe.edits)
+    grown = grow_walls(segmentation, walls, recipe.ends, open_places=places, is_measured=False)
+    return apply_edits(grown, recipe.edits)
 
 
 def _surface(
@@ -171,13 +194,37 @@ def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
         raise StageError("nothing is segmented but background: paint the structures first", place="segment")
     along, slices = (slice(one[0], one[-1] + 1) for one in there)
     there.insert(0, np.flatnonzero(is_labelled[slices, along].any(axis=(0, 1))))
+    corners = np.array([[one[0], one[-1]] for one in there], dtype=float).T
+    low, high = room_around(corners, geometry, recipe)
+    part = labels[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
+    part = np.where(part == UNMARKED, np.uint8(BACKGROUND), part)
+    i, j, k = (int(one) for one in low)
+    return replace(segmentation, labels=part, geometry=geometry.cropped((i, j, k), part.shape[::-1]))
+
+
+def room_around(corners: Float64, geometry: Geometry, recipe: Recipe) -> tuple[Int64, Int64]:
+    """The voxels around labels and all that the recipe places, with room for walls.
+
+    Parameters
+    ----------
+    corners
+        First and last voxel (i, j, k) of what is labelled, shape (2, 3).
+    geometry
+        Lattice of the labels.
+    recipe
+        Walls, ends and edits.
+
+    Returns
+    -------
+    low, high
+        First voxel (i, j, k), and that behind the last.
+    """
     placed = [(end.position_mm, 0.0) for end in recipe.ends]
     for edit in recipe.edits:
         if edit.kind in ("septal_defect", "close_defect"):
             placed.append((edit.position_mm, 0.5 * edit.diameter_mm))
         elif edit.kind in ("add", "remove", "smooth", "fill"):
             placed += [(point, edit.radius_mm) for point in edit.points_mm]
-    corners = np.array([[one[0], one[-1]] for one in there], dtype=float).T
     if placed:
         size = np.array(geometry.size) - 1
         middles = geometry.world_to_index(np.array([point for point, _ in placed]))
@@ -186,29 +233,38 @@ def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
     margin = (MARGIN_MM + recipe.walls.thickest_mm(recipe.table)) / np.array(geometry.spacing_mm)
     low = np.maximum(np.floor(corners.min(axis=0) - margin), 0).astype(int)
     high = np.minimum(np.ceil(corners.max(axis=0) + margin) + 1, geometry.size).astype(int)
-    part = labels[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
-    part = np.where(part == UNMARKED, np.uint8(BACKGROUND), part)
-    i, j, k = (int(one) for one in low)
-    return replace(segmentation, labels=part, geometry=geometry.cropped((i, j, k), part.shape[::-1]))
+    return low, high
+
+
+def thinning_steps(size: Int64, spacing_mm: Float64, voxels: float) -> Int64:
+    """Every how many voxels one is taken along i, j and k, so that about so many are left, about as far apart."""
+    apart_mm = float(np.cbrt(size.prod() * spacing_mm.prod() / voxels))
+    steps: Int64 = np.maximum(np.rint(apart_mm / spacing_mm), 1).astype(np.int64)
+    return steps
+
+
+def thinned_lattice(geometry: Geometry, first: Int64, steps: Int64, size: tuple[int, ...]) -> Geometry:
+    """The lattice of every n-th voxel from a first one (i, j, k) on."""
+    spacing = np.array(geometry.spacing_mm) * steps
+    return geometry.model_copy(
+        update={
+            "size": size,
+            "spacing_mm": tuple(float(one) for one in spacing),
+            "origin_mm": tuple(float(one) for one in geometry.index_to_world(first)),
+        }
+    )
 
 
 def _thinned(segmentation: Segmentation, share: float) -> tuple[Segmentation, bool]:
     """Every second voxel or fewer, about as far apart along all axes; and whether any are left out."""
-    geometry, spacing = segmentation.geometry, np.array(segmentation.geometry.spacing_mm)
-    apart_mm = float(np.cbrt(segmentation.labels.size * spacing.prod() / (share * VOXELS)))
-    steps = np.maximum(np.rint(apart_mm / spacing), 1).astype(int)
+    geometry = segmentation.geometry
+    steps = thinning_steps(np.array(geometry.size), np.array(geometry.spacing_mm), share * VOXELS)
     if (steps == 1).all():
         return segmentation, False
     first = steps // 2
     i, j, k = (slice(int(start), None, int(step)) for start, step in zip(first, steps, strict=True))
     labels = np.ascontiguousarray(segmentation.labels[k, j, i])
-    coarse = geometry.model_copy(
-        update={
-            "size": labels.shape[::-1],
-            "spacing_mm": tuple(float(one) for one in spacing * steps),
-            "origin_mm": tuple(float(one) for one in geometry.index_to_world(first)),
-        }
-    )
+    coarse = thinned_lattice(geometry, first, steps, labels.shape[::-1])
     return replace(segmentation, labels=labels, geometry=coarse), True
 
 

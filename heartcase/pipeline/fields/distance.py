@@ -12,7 +12,7 @@ shift of the second blur is taken off the first. The distance is then measured t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ from heartcase.pipeline.fields.partition import (
     leads_of,
 )
 from heartcase.pipeline.kernels.feature_transform import distance_to_marked
+from heartcase.pipeline.kernels.parallel import two_workers
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int64, UInt8
 
 __all__ = ["default_smoothing_mm", "label_distances", "signed_distance"]
@@ -130,7 +131,7 @@ def label_distances(
     # the label with the longest border first, so that both threads end together
     borders = _face_counts(owner, len(values))
     first = sorted(range(len(values)), key=lambda number: -int(borders[number]))
-    with ThreadPoolExecutor(max_workers=2) as pool:
+    with two_workers() as pool:
         fields = dict(zip(first, pool.map(one, first), strict=True))
     found = {value: fields[number] for number, value in enumerate(values)}
     return {value: field for value, field in found.items() if field is not None}
@@ -190,7 +191,7 @@ def _first_order(
     def blur(values: Float32) -> Float32:
         return _blur(values, spacing, sigma_mm)
 
-    with ThreadPoolExecutor(max_workers=2) as pool:
+    with two_workers() as pool:
         masks = list(pool.map(lambda n: blur((labels[boxes[n]] == values[n]).astype(np.float32)), range(len(values))))
         blurred = [Part(box, mask) for box, mask in zip(boxes, masks, strict=True)]
         touches = find_touches(labels, values, boxes, group, blur)

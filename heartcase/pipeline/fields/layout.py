@@ -6,7 +6,6 @@ block of lattice cells it is known which ones can be the lowest anywhere in it, 
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numba
@@ -18,6 +17,7 @@ from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.shapes import SHAPE_KINDS
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays, thickness_arrays
+from heartcase.pipeline.kernels.parallel import two_workers
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, UInt8
 from heartcase.schemas.labels import BACKGROUND
 
@@ -173,7 +173,7 @@ def _interleave(fields: tuple[Float32, ...], stack: Float32) -> None:
         for n, field in enumerate(fields):
             stack[start : start + INTERLEAVED_PLANES, ..., n] = field[start : start + INTERLEAVED_PLANES]
 
-    with ThreadPoolExecutor(max_workers=2) as pool:
+    with two_workers() as pool:
         list(pool.map(part, range(0, len(stack), INTERLEAVED_PLANES)))
 
 

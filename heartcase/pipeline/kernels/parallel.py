@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
 
 import numba
@@ -12,7 +13,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["all_side_by_side", "every_other", "may_share", "side_by_side"]
+__all__ = ["all_side_by_side", "every_other", "in_one_thread", "may_share", "side_by_side", "two_workers"]
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -45,16 +46,33 @@ def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]
     """
     if not may_share():
         return first(), second()
-    count = numba.get_num_threads()
-
-    def with_threads() -> B:
-        numba.set_num_threads(count)
-        return second()
-
-    with ThreadPoolExecutor(max_workers=1) as pool:
-        other = pool.submit(with_threads)
+    with _pool(1) as pool:
+        other = pool.submit(second)
         one = first()
     return one, other.result()
+
+
+def two_workers() -> ThreadPoolExecutor:
+    """A pool of two threads, or of one where the caller may use no more; kernels in them may use as many as here."""
+    return _pool(min(2, numba.get_num_threads()))
+
+
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),))
+
+
+@contextmanager
+def in_one_thread() -> Iterator[None]:
+    """Have the kernels and pools that are called in this thread use no other one meanwhile.
+
+    Little work is done sooner so where others use the cores too: threads that share a loop wait for the last of them.
+    """
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 def all_side_by_side(tasks: Sequence[Callable[[], A]]) -> list[A]:

@@ -14,7 +14,7 @@ from heartcase.pipeline.markers.load_markers import rasterise_strokes, stroke_vo
 from heartcase.pipeline.markers.locks import Locks
 from heartcase.pipeline.markers.marker_help import ERASED, AutomaticMarkers
 from heartcase.pipeline.markers.stroke_notes import StrokeNotes
-from heartcase.pipeline.watershed.boxes import Box
+from heartcase.pipeline.watershed.boxes import Box, around_both, voxels_at
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.loading import load_stroke_kernels
 from heartcase.pipeline.watershed.sight import Sight, plane_in_sight
@@ -178,6 +178,11 @@ class SegmentationSession:
         """
         self._forest.settle_boxes(boxes)
         return [self._forest.labels[box].copy() for box in boxes]
+
+    def thinned_labels(self, box: Box) -> UInt8:
+        """Labels of every n-th voxel along each axis in slices [z, y, x] with steps: a copy; the rest stays put off."""
+        self._forest.settle_voxels(voxels_at(box, self.geometry.shape))
+        return np.ascontiguousarray(self._forest.labels[box])
 
     def labels_so_far(self, boxes: Sequence[Box]) -> list[UInt8]:
         """Labels in some boxes, copies; what is put off there is of some earlier moment."""
@@ -490,10 +495,5 @@ class SegmentationSession:
             # what is put off is not known to have stayed
             k, j, i = (slice(0, n) for n in self._forest.labels.shape)
             changed = k, j, i
-        if changed is not None and self._changed is not None:
-            pairs = zip(changed, self._changed, strict=True)
-            k, j, i = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in pairs)
-            self._changed = (k, j, i)
-        elif changed is not None:
-            self._changed = changed
+        self._changed = around_both(self._changed, changed)
         return box

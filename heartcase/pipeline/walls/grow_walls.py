@@ -50,6 +50,7 @@ def grow_walls(
     ends: Sequence[EndMarker],
     *,
     open_places: Sequence[OpenPlace] = (),
+    is_measured: bool = True,
 ) -> Structures:
     """Make the structures of a segmentation: smooth distance fields, walls around the cavities, open vessel ends.
 
@@ -69,6 +70,8 @@ def grow_walls(
         Discs beyond which a vessel and its wall are taken away.
     open_places
         Where a septum is open, from :func:`heartcase.pipeline.walls.septa.open_places`.
+    is_measured
+        Whether figures and warnings are worked out; the structures are the same.
 
     Returns
     -------
@@ -121,6 +124,8 @@ def grow_walls(
     septa: tuple[SeptumFigures, ...] = ()
     if chosen.septa == "grown":
         structures, septa = with_septa(structures, _labels_on_lattice(structures), chosen, open_places)
+    if not is_measured:
+        return structures
     leaks, (figures, warnings) = side_by_side(
         lambda: leak_warnings(structures, labels), lambda: smoothing_effects(labels, distances, geometry, table)
     )

@@ -16,7 +16,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.watershed.boxes import Box, around_both, as_box, in_parts, tiles_around, within
+from heartcase.pipeline.watershed.boxes import Box, around_both, as_box, in_parts, tiles_around, voxels_in, within
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.hanging import Filling, PartedForest, solve_parted
 from heartcase.pipeline.watershed.incremental import mend, unmark
@@ -57,6 +57,8 @@ MOST_AT_ONCE = 100_000
 """Voxels in basins that changed that are painted at once where painting may be put off."""
 MOST_LISTED = 300_000
 """Voxels in basins that changed up to which their tiles are looked up; with more, all are painted anew."""
+MOST_ONE_BY_ONE = 50_000
+"""Voxels of boxes up to which the labels of these alone are looked up; with more, a table of all basins is worth it."""
 FEW_MARKED = 0.02
 """Share of the basins that are marked up to which solving anew is a matter of few ms, whatever is changed."""
 MOST_CARRIED = 2_000
@@ -247,24 +249,16 @@ class Forest:
             What lies outside of the volume is left out. A tile is settled where one of them is all of it.
         """
         changed = np.zeros_like(self.put_off)
-        boxes = [within(box, self.labels.shape) for box in boxes]
-        boxes = [box for box in boxes if self.put_off[tiles_around(box)].any()]
+        inside = (within(box, self.labels.shape) for box in boxes)
+        boxes = [box for box in inside if self.put_off[tiles_around(box)].any()]
         if not boxes:
             return
         bounds = np.array([[[one.start, one.stop] for one in box] for box in boxes], np.int64)
-        feet = self._feet()
-        if self._table is None:
-            self._table = feet.copy()
-            self._table[self._marked_basins()] = MARKED_BASIN
-        paint_boxes(
-            *in_parts(bounds[..., 0], bounds[..., 1]),
-            self._table,
-            *self._landscape[1:],
-            self.marks.reshape(-1),
-            feet,
-            self.labels,
-            changed,
-        )
+        low, high = bounds[..., 0], bounds[..., 1]
+        if (high - low).prod(axis=1).sum() <= MOST_ONE_BY_ONE:
+            self.settle_voxels(voxels_in(low, high, self.labels.shape))
+        else:
+            self._paint_boxes(low, high, changed)
         for box in boxes:
             if all(
                 one.start % TILE == 0 and one.stop == min(one.start + TILE, n)
@@ -275,23 +269,13 @@ class Forest:
 
     def settle_sight(self, sight: Sight) -> None:
         """Work out the labels that a plane shows; no tile is settled by that."""
-        if not self.put_off[sight.tiles].any():
-            return
-        none = np.empty(0, np.int32)
-        solved = self._solution() if self._is_behind else None
-        feet = (solved.hanging.place, solved.group, solved.label) if solved else (none, none, self.foot_label)
+        if self.put_off[sight.tiles].any():
+            self.settle_voxels(sight.voxel, sight.basin)
+
+    def settle_voxels(self, voxels: Int64, basins: Int32 | None = None) -> None:
+        """Work out the labels of voxels, flat indices, whose basins may be known; no tile is settled by that."""
         changed = np.zeros_like(self.put_off)
-        paint_sight(
-            sight.voxel,
-            sight.basin,
-            feet,
-            self._landscape,
-            self.marks.reshape(-1),
-            self.lowest_mark,
-            self.labels.reshape(-1),
-            self.labels.shape,
-            changed,
-        )
+        self._paint_voxels(voxels, self.tree.basin.ravel()[voxels] if basins is None else basins, changed)
         self.stamps[changed] = self.stamps.max() + 1
 
     @property
@@ -407,6 +391,23 @@ class Forest:
             self.labels.shape,
         )
         return as_box(low, high)
+
+    def _paint_voxels(self, voxels: Int64, basins: Int32, changed: Bool) -> None:
+        """Label some voxels of these basins; notes tiles in which that changed any. No table of all basins is made."""
+        none = np.empty(0, np.int32)
+        solved = self._solution() if self._is_behind else None
+        feet = (solved.hanging.place, solved.group, solved.label) if solved else (none, none, self.foot_label)
+        marks, labels = self.marks.reshape(-1), self.labels.reshape(-1)
+        paint_sight(voxels, basins, feet, self._landscape, marks, self.lowest_mark, labels, self.labels.shape, changed)
+
+    def _paint_boxes(self, low: Int64, high: Int64, changed: Bool) -> None:
+        """The same for all voxels of boxes, side by side."""
+        feet = self._feet()
+        if self._table is None:
+            self._table = feet.copy()
+            self._table[self._marked_basins()] = MARKED_BASIN
+        landscape, marks = self._landscape[1:], self.marks.reshape(-1)
+        paint_boxes(*in_parts(low, high), self._table, *landscape, marks, feet, self.labels, changed)
 
     def _paint_whole(self) -> Box | None:
         self.stamps[self.put_off] = self.stamps.max() + 1

@@ -56,7 +56,9 @@ function run() {
     if (tool !== "shape") hands.drop();
   });
   const seen = new Seen(views, studio, (request) => connection.ask(request), (error) => fault(error));
-  const preview = runPreview(views, (request) => connection.ask(request), (error) => fault(error));
+  // all labels at once, which the fine look takes, would hold a stroke up, or those that are shown
+  const isBusy = () => studio.stroke.value !== null || seen.hasRest;
+  const preview = runPreview(views, (request) => connection.ask(request), (error) => fault(error), isBusy);
   hands.lookAt = (mm) => views.lookAt(mm);
   hands.labelValueAt = (voxel) => views.volume?.labelAt(voxel) ?? null;
   const shapePanel = new ShapePanel(find("panel-shape"), studio, views, shaping, hands);

@@ -17,7 +17,7 @@ from heartcase.studio.serving.app import make_app
 from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
 
-__all__ = ["ADDRESS", "serve"]
+__all__ = ["ADDRESS", "listening", "serve"]
 
 ADDRESS = "127.0.0.1"
 """The studio is for this machine alone."""
@@ -64,14 +64,7 @@ def serve(
         address = start.open_recipe(recipe, out=out)
     elif case is not None:
         address = start.open_case(case)
-    with socket.socket() as listener:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((ADDRESS, port))
-        except OSError as error:
-            reason = (error.strerror or "the system gives no reason").lower()
-            raise UsageError(f"cannot listen on port {port} ({reason}): give another", place="--port") from None
-        listener.listen()
+    with listening(port) as listener:
         port = listener.getsockname()[1]
         app = make_app(registry, token=token, port=port, start=start)
         config = uvicorn.Config(
@@ -90,3 +83,29 @@ def serve(
         ready(f"http://{ADDRESS}:{port}{address}?token={token}")
         with contextlib.suppress(KeyboardInterrupt):
             uvicorn.Server(config).run(sockets=[listener])
+
+
+def listening(port: int) -> socket.socket:
+    """A socket of this machine on which the server listens.
+
+    Parameters
+    ----------
+    port
+        Any free one at 0.
+
+    Raises
+    ------
+    UsageError
+        The port is taken.
+    """
+    # where it is named as TCP, asyncio has no message wait until the one before is acknowledged, often 40 ms later
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((ADDRESS, port))
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        reason = (error.strerror or "the system gives no reason").lower()
+        raise UsageError(f"cannot listen on port {port} ({reason}): give another", place="--port") from None
+    return listener

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from heartcase.pipeline.building.first_look import first_look
 from heartcase.pipeline.building.quick_surface import QuickSurface, quick_surface
 from heartcase.pipeline.building.recipe_history import RecipeHistory
 from heartcase.pipeline.data import Segmentation
@@ -144,7 +145,9 @@ class Shaping:
         HeartcaseError
             Nothing is painted.
         """
-        segmentation, recipe, strokes = self._session.segmentation(), self._history.recipe, self._session.strokes
+        session, recipe = self._session, self._history.recipe
+        strokes = session.strokes
+        segmentation = first_look(session, recipe) if is_coarse else session.segmentation()
         return lambda: quick_surface(segmentation, recipe, strokes, is_coarse=is_coarse)
 
 

@@ -98,6 +98,17 @@ def test_a_first_look_has_the_same_walls_to_about_a_voxel_of_its_own():
         assert abs(inner - RADIUS).max() < voxel
 
 
+@pytest.mark.parametrize("is_coarse", [False, True])
+def test_one_thread_makes_the_surface_that_several_make(monkeypatch, is_coarse):
+    given = two_balls(), recipe(DEFECT)
+    one = quick_surface(*given, is_coarse=is_coarse)
+    monkeypatch.setattr("heartcase.pipeline.building.quick_surface.MOST_IN_ONE_THREAD", 0)
+    several = quick_surface(*given, is_coarse=is_coarse)
+    for name in ("vertices_mm", "normals", "colours", "triangles"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(several, name))
+    assert one.problems == several.problems
+
+
 def test_a_defect_makes_one_cavity_of_two_and_what_meets_nothing_is_told_and_left_out():
     segmentation = two_balls()
     surface = quick_surface(segmentation, recipe(DEFECT))

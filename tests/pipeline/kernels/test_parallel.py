@@ -6,7 +6,14 @@ import time
 import numba
 import pytest
 
-from heartcase.pipeline.kernels.parallel import all_side_by_side, every_other, may_share, side_by_side
+from heartcase.pipeline.kernels.parallel import (
+    all_side_by_side,
+    every_other,
+    in_one_thread,
+    may_share,
+    side_by_side,
+    two_workers,
+)
 
 
 @pytest.fixture
@@ -101,3 +108,22 @@ def test_every_chunk_is_taken_once_and_the_even_ones_first():
     for count in range(12):
         order = [every_other.py_func(number, count) for number in range(count)]
         assert order == [*range(0, count, 2), *range(1, count, 2)]
+
+
+def test_a_pool_has_as_many_threads_as_its_caller_may_use_and_its_kernels_too(two_threads):
+    def asked(pool):
+        return pool._max_workers, pool.submit(numba.get_num_threads).result()
+
+    with two_workers() as pool:
+        assert asked(pool) == (2, 2)
+    with in_one_thread():
+        assert not may_share()
+        with two_workers() as pool:
+            assert asked(pool) == (1, 1)
+    assert numba.get_num_threads() == 2
+
+
+def test_as_many_threads_as_before_are_used_behind_an_error(two_threads):
+    with pytest.raises(ZeroDivisionError), in_one_thread():
+        _ = 1 / 0
+    assert numba.get_num_threads() == 2

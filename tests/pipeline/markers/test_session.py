@@ -193,7 +193,8 @@ def test_a_stroke_goes_on_with_points_only():
     assert (session.markers().labels == 255).all()
 
 
-def test_what_is_put_off_counts_as_changed_and_boxes_are_taken_as_numpy_takes_them():
+@pytest.mark.parametrize("one_by_one", [0, 10**9])
+def test_what_is_put_off_counts_as_changed_and_boxes_are_taken_as_numpy_takes_them(one_by_one):
     def painted(*, puts_off):
         session = SegmentationSession.of_scan(scan(1), TABLE)
         if puts_off:
@@ -204,7 +205,7 @@ def test_what_is_put_off_counts_as_changed_and_boxes_are_taken_as_numpy_takes_th
         return session
 
     boxes = [np.s_[:, 3:5, :], np.s_[2:900, -3:, 4:], np.s_[5:2, :, :], np.s_[::2, :, 8:2:-1], np.s_[20:30, :, :]]
-    with patch.multiple(forest_module, MOST_AT_ONCE=0, MOST_LISTED=10**9):
+    with patch.multiple(forest_module, MOST_AT_ONCE=0, MOST_LISTED=10**9, MOST_ONE_BY_ONE=one_by_one):
         plain = painted(puts_off=False)
         for box in boxes:
             session = painted(puts_off=True)

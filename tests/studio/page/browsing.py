@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import socket
 import threading
 import time
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from heartcase.studio.serving.app import make_app
+from heartcase.studio.serving.serve import listening
 from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.start import Start
 
@@ -71,10 +71,7 @@ class Server:
         self.recipe, self.port, self._server = recipe, 0, None
 
     def start(self, token=TOKEN):
-        listener = socket.socket()
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(("127.0.0.1", self.port))
-        listener.listen()
+        listener = listening(self.port)
         self.port = listener.getsockname()[1]
         registry = Registry(token)
         opened = self.opened = self.open_in(registry)

@@ -164,3 +164,10 @@ test("seen from outside: letters and direction of every quarter turn, head up", 
   assert.deepEqual([0, 90, 180, 270].map((turn) => letters(turn, 0)), ["LFP", "PFR", "RFA", "AFL"]);
   assert.deepEqual([letters(0, 90), letters(0, -90)], ["LAF", "LPH"]);
 });
+
+test("the pixels around a box of voxels hold all of its corners", () => {
+  const camera = new Camera(PATIENT_FRAMES.axial);
+  Object.assign(camera, { width: 200, height: 100, mmPerPixel: 0.5, centre: [104.5, 219, 343.5] });
+  // x from 101.5 to 104.5 mm and y from 203 to 213 mm, 0.5 mm a pixel, wherever the plane lies
+  assert.deepEqual(camera.around(straight, [2, 2, 0], [3, 5, 30]), { left: 94, top: 18, right: 100, bottom: 38 });
+});

@@ -10,7 +10,8 @@ test("until the fine look that follows the first one is there, it works", async 
   /** @type {{coarse: boolean, answer: (answer: object) => void}[]} */
   const asked = [];
   const ask = ({ coarse }) => new Promise((answer) => asked.push({ coarse, answer }));
-  const preview = new Preview({}, ask, (error) => assert.fail(error));
+  let waits = false;
+  const preview = new Preview({}, ask, (error) => assert.fail(error), () => waits);
   preview.isOn.value = true;
   context.mock.timers.tick(20);
   assert.deepEqual(asked.map(({ coarse }) => coarse), [true]);
@@ -19,6 +20,13 @@ test("until the fine look that follows the first one is there, it works", async 
   asked[0].answer({ problems: [{ place: "ends[1]", message: "beside the vessel" }] });
   await settled();
   assert.equal(preview.isBusy.value, true);
+  // not while a stroke is drawn, or labels have still to come
+  waits = true;
+  context.mock.timers.tick(500);
+  await settled();
+  assert.deepEqual(asked.map(({ coarse }) => coarse), [true]);
+  assert.equal(preview.isBusy.value, true);
+  waits = false;
   context.mock.timers.tick(500);
   await settled();
   assert.deepEqual(asked.map(({ coarse }) => coarse), [true, false]);

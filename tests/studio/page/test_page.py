@@ -134,6 +134,20 @@ def test_a_stroke_by_mouse_labels_the_right_voxels_in_all_slices_and_is_in_the_r
         page.saved(2)
         for view in FRAMES:
             np.testing.assert_array_equal(inside(page, view), after[view])
+        # of a slice that is drawn only where labels changed the rims are right, too
+        page.tab.locator("#outline").set_checked(True)
+        page.tab.locator("#opacity").evaluate("(one) => { one.value = 30; one.dispatchEvent(new Event('input')); }")
+        page.tab.keyboard.press("Control+z")
+        page.saved(1)
+        in_part = {view: inside(page, view) for view in FRAMES}
+        page.tab.keyboard.press("l")
+        page.drawn()
+        page.tab.keyboard.press("l")
+        page.drawn()
+        for view in FRAMES:
+            np.testing.assert_array_equal(in_part[view], inside(page, view))
+        page.tab.keyboard.press("Control+y")
+        page.saved(2)
         # a page that is loaded again shows the same, and can go back as far
         page.tab.reload()
         page.ready()
@@ -148,8 +162,10 @@ def test_a_stroke_by_mouse_labels_the_right_voxels_in_all_slices_and_is_in_the_r
 def test_slices_that_are_shown_come_first_and_others_are_right_when_they_are_scrolled_to(
     chromium, painted, monkeypatch
 ):
-    # every stroke is one that changes more than is worked out at once
+    # every stroke is one that changes more than is worked out at once, and basins are left behind
     monkeypatch.setattr(forest, "MOST_AT_ONCE", 0)
+    monkeypatch.setattr(forest, "BEHIND_FROM", 0)
+    monkeypatch.setattr(forest, "FEW_MARKED", 1.0)
     server, path, affine = painted
     corner, middle = mm_of([4, 24, 17], affine)[0], mm_of(MIDDLE, affine)[0]
     with browsing(chromium, server) as page:

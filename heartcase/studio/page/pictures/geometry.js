@@ -4,6 +4,7 @@
  */
 
 /** @typedef {[number, number, number]} Vector */
+/** Pixels of a view. @typedef {{left: number, top: number, right: number, bottom: number}} Rectangle */
 /** Directions of a view in the patient, unit vectors. @typedef {{right: Vector, down: Vector, normal: Vector}} Frame */
 /** @typedef {{axial: Frame, coronal: Frame, sagittal: Frame}} Frames */
 
@@ -202,6 +203,19 @@ export class Camera {
     };
   }
 
+  /** The pixels around a box of voxels, wherever the plane lies. @param {Lattice} lattice @param {Vector} low @param {Vector} size @returns {Rectangle} */
+  around(lattice, low, size) {
+    const found = { left: Infinity, top: Infinity, right: -Infinity, bottom: -Infinity };
+    for (const corner of cornersOf(lattice, low, size)) {
+      const { x, y } = this.toPixel(corner, corner);
+      found.left = Math.min(found.left, x);
+      found.right = Math.max(found.right, x);
+      found.top = Math.min(found.top, y);
+      found.bottom = Math.max(found.bottom, y);
+    }
+    return found;
+  }
+
   /** @param {number} dx @param {number} dy pixels by which the picture moves */
   pan(dx, dy) {
     const moved = plus(this.centre, this.frame.right, -dx * this.mmPerPixel);
@@ -244,17 +258,18 @@ export function turntable(azimuth, elevation) {
   return { frame: { right, down, normal: times(look, -1) }, look };
 }
 
+/** Where the eight corners of a box of voxels lie. @param {Lattice} lattice @param {Vector} low @param {Vector} size */
+function cornersOf(lattice, low, size) {
+  return [0, 1, 2, 3, 4, 5, 6, 7].map((corner) => {
+    const index = low.map((first, a) => first - 0.5 + ((corner >> a) & 1) * size[a]);
+    return lattice.toWorld(/** @type {Vector} */ (index));
+  });
+}
+
 /** Whether a box of voxels meets the plane through a position. @param {Lattice} lattice @param {Vector} low @param {Vector} size @param {Vector} normal @param {Vector} through */
 export function boxMeetsPlane(lattice, low, size, normal, through) {
-  let nearest = Infinity;
-  let farthest = -Infinity;
-  for (let corner = 0; corner < 8; corner++) {
-    const index = low.map((first, a) => first - 0.5 + ((corner >> a) & 1) * size[a]);
-    const depth = dot(plus(lattice.toWorld(/** @type {Vector} */ (index)), through, -1), normal);
-    nearest = Math.min(nearest, depth);
-    farthest = Math.max(farthest, depth);
-  }
-  return nearest <= 1e-6 && farthest >= -1e-6;
+  const depths = cornersOf(lattice, low, size).map((corner) => dot(plus(corner, through, -1), normal));
+  return Math.min(...depths) <= 1e-6 && Math.max(...depths) >= -1e-6;
 }
 
 /** Radius of what a plane at a distance cuts from a sphere; 0 where it passes by. @param {number} radius @param {number} depth */

@@ -40,7 +40,12 @@ export class Seen {
     });
   }
 
-  /** Whether labels off the planes may still come. @param {boolean} hasRest @param {boolean} [isChange] whether labels may have changed just now */
+  /** Whether labels off the planes may still come. */
+  get hasRest() {
+    return this.#hasRest;
+  }
+
+  /** The server said so. @param {boolean} hasRest @param {boolean} [isChange] whether labels may have changed just now */
   tell(hasRest, isChange = false) {
     this.#hasRest = hasRest;
     if (isChange) this.#changedAt = performance.now();

@@ -3,6 +3,7 @@
 /** @typedef {import("./geometry.js").Camera} Camera */
 /** @typedef {import("./geometry.js").Lattice} Lattice */
 /** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {import("./slice_view.js").Part} Part */
 /** @typedef {import("./volume.js").Volume} Volume */
 /** @typedef {{low: number, high: number, opacity: number, outline: boolean}} Look */
 
@@ -77,12 +78,13 @@ export class SliceShader {
    * @param {Camera} camera
    * @param {Vector} through
    * @param {Look} look
-   * @param {{x: number, y: number, width: number, height: number}} part of the canvas, device pixels from below
+   * @param {Part} part of the canvas
+   * @param {Part} stale what of it is drawn
    */
-  draw(volume, lattice, camera, through, look, part) {
+  draw(volume, lattice, camera, through, look, part, stale) {
     const { gl, at } = this;
     gl.viewport(part.x, part.y, part.width, part.height);
-    gl.scissor(part.x, part.y, part.width, part.height);
+    gl.scissor(stale.x, stale.y, stale.width, stale.height);
     gl.useProgram(this.program);
     gl.bindVertexArray(this.array);
     const scale = camera.height / part.height;

@@ -1,16 +1,23 @@
 /** One slice on the page: its tile, its camera, and where its plane lies. */
 
-import { Camera, PATIENT_FRAMES, plus, dot } from "./geometry.js";
+import { boxMeetsPlane, Camera, PATIENT_FRAMES, plus, dot } from "./geometry.js";
 
 /** @typedef {import("./geometry.js").Lattice} Lattice */
+/** @typedef {import("./geometry.js").Rectangle} Rectangle */
 /** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {{x: number, y: number, width: number, height: number}} Part of the canvas, device pixels from below */
 /** @typedef {import("../shared/studio.js").Studio} Studio */
 /** @typedef {import("../shared/studio.js").ViewName} ViewName */
+
+/** Device pixels around what changed that are drawn anew with it, beside the width of an outline. */
+const RIM = 2;
 
 export class SliceView {
   /** The picture must be drawn anew; only what lies over it must. */
   isStale = true;
   overlayIsStale = true;
+  /** Otherwise: the pixels that show labels which changed. @type {Rectangle | null} */
+  changed = null;
 
   /**
    * @param {ViewName} name
@@ -50,6 +57,35 @@ export class SliceView {
     const { normal } = this.camera.frame;
     const moved = plus(this.studio.crosshair.value, normal, steps * lattice.sliceStep(normal));
     this.studio.crosshair.value = lattice.snapped(lattice.clamped(moved), normal);
+  }
+
+  /** Labels of a box of voxels are others now. @param {Lattice} lattice @param {Vector} low @param {Vector} size */
+  noteLabels(lattice, low, size) {
+    if (!boxMeetsPlane(lattice, low, size, this.camera.frame.normal, this.studio.crosshair.value)) return;
+    const one = this.camera.around(lattice, low, size);
+    const other = this.changed ?? one;
+    this.changed = {
+      left: Math.min(one.left, other.left),
+      top: Math.min(one.top, other.top),
+      right: Math.max(one.right, other.right),
+      bottom: Math.max(one.bottom, other.bottom),
+    };
+  }
+
+  /** What of the view's part of the canvas must be drawn anew; null for nothing. @param {Part} part @returns {Part | null} */
+  stalePart(part) {
+    if (this.isStale) return part;
+    if (this.changed === null) return null;
+    const { left, top, right, bottom } = this.changed;
+    // the rim of what changed is drawn on what lies beside it
+    const rim = Math.ceil(this.ratio) + RIM;
+    const [x0, x1] = [Math.floor(left * this.ratio) - rim, Math.ceil(right * this.ratio) + rim];
+    const [y0, y1] = [Math.floor(top * this.ratio) - rim, Math.ceil(bottom * this.ratio) + rim];
+    const within = (/** @type {number} */ value, /** @type {number} */ most) => Math.min(Math.max(value, 0), most);
+    const [x, y] = [within(x0, part.width), within(part.height - y1, part.height)];
+    const width = within(x1, part.width) - x;
+    const height = within(part.height - y0, part.height) - y;
+    return width > 0 && height > 0 ? { x: part.x + x, y: part.y + y, width, height } : null;
   }
 
   /** Move the crosshair within the plane, by voxels. @param {number} across @param {number} along */

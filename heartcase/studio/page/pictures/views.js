@@ -1,6 +1,6 @@
 /** The three slices and the solids: drawn into one canvas behind their tiles, each only when it changed. */
 
-import { boxMeetsPlane, Lattice, plus, SIDES } from "./geometry.js";
+import { Lattice, plus, SIDES } from "./geometry.js";
 import { PATIENT_PLANES, turned, turnedPlanes } from "./planes.js";
 import { drawOverlay, drawSolidOverlay, sidesOf } from "./overlay.js";
 import { SliceShader } from "./slice_shader.js";
@@ -132,9 +132,7 @@ export class Views {
     const lattice = this.studio.lattice.value;
     if (this.volume === null || lattice === null) return;
     this.volume.setLabels(low, size, bytes);
-    for (const view of this.all) {
-      if (boxMeetsPlane(lattice, low, size, view.camera.frame.normal, this.studio.crosshair.value)) view.isStale = true;
-    }
+    for (const view of this.all) view.noteLabels(lattice, low, size);
     this.solid.isStale = true;
     this.#ask();
   }
@@ -265,14 +263,16 @@ export class Views {
     const lattice = studio.lattice.value;
     if (lattice === null || volume === null || !volume.isComplete || this.#waits) return;
     for (const view of this.all) {
-      if (view.isStale) {
+      const part = view.isStale || view.changed !== null ? this.#partOf(view) : null;
+      const stale = part && view.stalePart(part);
+      if (part && stale) {
         const shown = studio.labelsShown.value;
         const look = {
           ...studio.window.value,
           opacity: shown ? studio.opacity.value : 0,
           outline: shown && studio.outline.value,
         };
-        this.slices.draw(volume, lattice, view.camera, studio.crosshair.value, look, this.#partOf(view));
+        this.slices.draw(volume, lattice, view.camera, studio.crosshair.value, look, part, stale);
       }
       if (view.isStale || view.overlayIsStale) {
         drawOverlay(view.pen, view.name, view.camera, studio, this.measures.all);
@@ -280,6 +280,7 @@ export class Views {
         this.#tellPosition(view, lattice);
       }
       view.isStale = view.overlayIsStale = false;
+      view.changed = null;
     }
     this.#drawSolid(volume, lattice);
   }

@@ -8,7 +8,7 @@ import { language, say } from "../shared/words.js";
 /** @typedef {import("./shaping.js").Ask} Ask */
 
 /** Strokes and acts that follow on each other at once are waited for. */
-const WAIT_MS = 20;
+const WAIT_MS = 5;
 /** Until the first look is followed by the fine one. */
 const FINE_AFTER_MS = 500;
 
@@ -25,11 +25,12 @@ export class Preview {
   #isCoarse = false;
   #timer = 0;
 
-  /** @param {Views} views @param {Ask} ask @param {(error: unknown) => void} onFault */
-  constructor(views, ask, onFault) {
+  /** @param {Views} views @param {Ask} ask @param {(error: unknown) => void} onFault @param {() => boolean} waits whether the fine look waits */
+  constructor(views, ask, onFault, waits) {
     this.views = views;
     this.ask = ask;
     this.onFault = onFault;
+    this.waits = waits;
     this.isOn.listen((isOn) => {
       if (isOn) this.refresh();
     });
@@ -50,6 +51,10 @@ export class Preview {
 
   async #make() {
     if (this.#isMaking || !this.isOn.value) return;
+    if (!this.#isCoarse && this.waits()) {
+      this.#later(FINE_AFTER_MS);
+      return;
+    }
     this.#isMaking = this.isBusy.value = true;
     try {
       while (this.#isStale && this.isOn.value) {
@@ -93,10 +98,11 @@ export class Preview {
  * @param {Views} views
  * @param {Ask} ask
  * @param {(error: unknown) => void} onFault
+ * @param {() => boolean} waits whether the fine look waits: a stroke is being drawn, or labels have still to come
  */
-export function runPreview(views, ask, onFault) {
+export function runPreview(views, ask, onFault, waits) {
   const find = (/** @type {string} */ id) => /** @type {HTMLElement} */ (document.getElementById(id));
-  const preview = new Preview(views, ask, onFault);
+  const preview = new Preview(views, ask, onFault, waits);
   const switches = /** @type {const} */ ([["preview-on", preview.isOn], ["preview-cut", preview.cuts]]);
   for (const [id, signal] of switches) {
     const box = /** @type {HTMLInputElement} */ (find(id));
