@@ -16,8 +16,7 @@ from heartcase.simulator.engine.cpu.cells import (
     element_of_window,
     gradient_of_window,
     guard_of_window,
-    mean_stress_of_window_with_more,
-    mean_stress_of_windows,
+    mean_stress_of_window,
     sharing_element_of_window,
 )
 from heartcase.simulator.engine.cpu.steps import STEPS_BY_ORDER, step_of_windows_with_cells
@@ -112,8 +111,7 @@ KERNELS = {
     "step in turn": (STEPS_BY_ORDER[False], STEP),
     "element": (element_of_window, [*[ARRAY] * 4, *CELLS]),
     "gradient": (gradient_of_window, [*[ARRAY] * 3, *CELLS]),
-    "mean stress": (mean_stress_of_windows, [*[ARRAY] * 4, ROWS, WINDOW, WINDOW]),
-    "mean stress with more": (mean_stress_of_window_with_more, [*[ARRAY] * 5, ROWS, WINDOW, WINDOW]),
+    "mean stress": (mean_stress_of_window, [*[ARRAY] * 5, ROWS, WINDOW, WINDOW]),
     "sharing element": (sharing_element_of_window, [*[ARRAY] * 6, *CELLS]),
     "guard": (guard_of_window, [*[ARRAY] * 4, *CELLS]),
 }
@@ -149,17 +147,3 @@ def test_a_window_in_halves_gives_the_bits_of_one_at_once(name, in_pairs, monkey
         kernel((*arrays, rows, 0, np.int8(in_pairs)))
         ends.append(b"".join(array.tobytes() for array in arrays))
     assert ends[0] == ends[1] != b"".join(array.tobytes() for array in given)
-
-
-def test_two_windows_of_nodes_at_once_give_the_bits_of_one_after_the_other(monkeypatch):
-    rng = np.random.default_rng(4)
-    gradient, shares, stress = rng.normal(0.0, 0.05, (3, 16 * BANK_LANES)).astype(np.float32)
-    law, ends = np.full(6, 2.0, np.float32), []
-    rows = rng.choice(np.arange(2, 1000), (2, 9))
-    for is_wide in (False, True):
-        monkeypatch.setattr(cells, "has_wide_registers", lambda context, is_wide=is_wide: is_wide)
-        kernel = njit(lambda given: mean_stress_of_windows(*given))
-        written = stress.copy()
-        kernel((gradient, shares, written, law, rows, 0, 1))
-        ends.append(written.tobytes())
-    assert ends[0] == ends[1] != stress.tobytes()

@@ -18,7 +18,7 @@ from numba.extending import intrinsic
 
 from heartcase.compiling.emitting import align_stack, array_data, nothing, room_with
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
-from heartcase.simulator.engine.cpu.vector_ir import CellWindow, Lanes, Vector, Window, WindowPair, has_wide_registers
+from heartcase.simulator.engine.cpu.vector_ir import CellWindow, Lanes, Vector, Window, has_wide_registers
 from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, CELL_PARTS, LANE_COUNT, PART_LANES, SHARE_NUMBERS
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
 from heartcase.simulator.lattice.force_law import LOOK_BELOW
@@ -30,8 +30,8 @@ __all__ = [
     "gradient_of_window",
     "guard_of_window",
     "is_flat_window",
+    "mean_stress_of_window",
     "mean_stress_of_window_with_more",
-    "mean_stress_of_windows",
     "sharing_element_of_window",
     "volume_of_window",
 ]
@@ -54,7 +54,6 @@ _FLOOR_NUMBER = 5
 _math = make_cell_math(lambda function: function, Lanes.positive_part)
 
 
-AnyWindow = Window | WindowPair | CellWindow
 Piece = CellWindow
 """All of a window of cells, or as much of it as is worked out at once."""
 
@@ -172,68 +171,37 @@ def gradient_of_window(typing_context, displacement, numbers, gradient, rows, wi
     return types.void(displacement, numbers, gradient, rows, types.int64, types.int8), codegen
 
 
-def _write_mean_stress(
-    here: Window | WindowPair, weights: list[Lanes], totals_more: list[Lanes], gradient: Any, stress: Any, law: Any
-) -> None:
-    """Write the stress of the means around the nodes of one window or two."""
-    # A node is the corner of the cell behind it by that corner's offset.
-    totals = _sum(here, weights, gradient, [(-i, -j, -k) for i, j, k in _CORNERS])
-    if totals_more:
-        totals = [total + more for total, more in zip(totals, totals_more, strict=True)]
-    mean = [total * weights[_INVERSE_NUMBER] for total in totals]
-    columns = _math.stretching(_columns(mean), _law(here, law))
-    for number, value in enumerate(component for column in columns for component in column):
-        here.store(value, stress, number)
+def _make_mean_stress(has_more: bool) -> Any:
+    """The intrinsic that writes the stress of the means around one window of nodes.
 
-
-@intrinsic
-def mean_stress_of_window_with_more(
-    typing_context, gradient, node_shares, more, stress, law, rows, window, place_in_more
-):
-    """Write the stress of the means around one window of nodes, of which something is added to each sum.
-
-    Takes gradients, the nodes' shares, what is added, the stress, law, rows, the window, and its number among those to
-    which something is added.
+    It takes gradients, the nodes' shares, what is added to each of the sums, the stress, law, rows, the window, and
+    the window's number among those to which something is added.
     """
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        align_stack(builder)
-        arrays = zip(signature.args[:6], arguments, strict=False)
-        g, w, m, p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
-        here = Window(builder, starts, arguments[6])
-        weights = [_share(here, w, arguments[6], number) for number in range(SHARE_NUMBERS)]
-        added = [_share(here, m, arguments[7], number) for number in range(SHARE_NUMBERS)]
-        _write_mean_stress(here, weights, added, g, p, constants)
-        return nothing(context)
+    @intrinsic
+    def stress_of(typing_context, gradient, node_shares, more, stress, law, rows, window, place):
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            align_stack(builder)
+            arrays = zip(signature.args[:6], arguments, strict=False)
+            g, w, m, p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
+            here = Window(builder, starts, arguments[6])
+            weights = [_share(here, w, arguments[6], number) for number in range(SHARE_NUMBERS)]
+            # A node is the corner of the cell behind it by that corner's offset.
+            totals = _sum(here, weights, g, [(-i, -j, -k) for i, j, k in _CORNERS])
+            if has_more:
+                totals = [total + _share(here, m, arguments[7], number) for number, total in enumerate(totals)]
+            mean = [total * weights[_INVERSE_NUMBER] for total in totals]
+            columns = _math.stretching(_columns(mean), _law(here, constants))
+            for number, value in enumerate(component for column in columns for component in column):
+                value.store(here.pointer(p, number))
+            return nothing(context)
 
-    return types.void(gradient, node_shares, more, stress, law, rows, types.int64, types.int64), codegen
+        return types.void(gradient, node_shares, more, stress, law, rows, types.int64, types.int64), codegen
 
-
-@intrinsic
-def mean_stress_of_windows(typing_context, gradient, node_shares, stress, law, rows, window, other):
-    """Write the stress of the means around two windows of nodes, which may be the same."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        align_stack(builder)
-        arrays = zip(signature.args[:5], arguments, strict=False)
-        g, w, p, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
-        here, there = (Window(builder, starts, window) for window in arguments[5:7])
-        of_here, of_there = (
-            [_share(one, w, window, number) for number in range(SHARE_NUMBERS)]
-            for one, window in ((here, arguments[5]), (there, arguments[6]))
-        )
-        if has_wide_registers(context):
-            weights = [Lanes.joined([*pair]) for pair in zip(of_here, of_there, strict=True)]
-            _write_mean_stress(WindowPair(here, there), weights, [], g, p, constants)
-        else:
-            _write_mean_stress(here, of_here, [], g, p, constants)
-            _write_mean_stress(there, of_there, [], g, p, constants)
-        return nothing(context)
-
-    return types.void(gradient, node_shares, stress, law, rows, types.int64, types.int64), codegen
+    return stress_of
 
 
-def _sum(here: AnyWindow, weights: list[Lanes], values: Any, offsets: list[Offset]) -> list[Lanes]:
+def _sum(here: Window | Piece, weights: list[Lanes], values: Any, offsets: list[Offset]) -> list[Lanes]:
     """Nine numbers each at eight offsets, times a weight each, added up."""
     totals: list[Lanes] = []
     for weight, offset in zip(weights, offsets, strict=False):
@@ -258,11 +226,11 @@ def _moments(here: Piece, numbers: Any, window: Any) -> tuple[Lanes, ...]:
     return tuple(_number(here, numbers, window, number) for number in range(1, CELL_NUMBERS - 1))
 
 
-def _law(here: AnyWindow, constants: Any) -> tuple[Lanes, ...]:
+def _law(here: Window | Piece, constants: Any) -> tuple[Lanes, ...]:
     return tuple(_constant(here, constants, number) for number in range(5))
 
 
-def _constant(here: AnyWindow, array: Any, number: int) -> Lanes:
+def _constant(here: Window | Piece, array: Any, number: int) -> Lanes:
     builder = here.builder
     value = builder.load(builder.gep(array, [ir.Constant(ir.IntType(64), number)]))
     return Lanes.filled(builder, value, here.count)
@@ -309,6 +277,8 @@ def _add_behind(here: Piece, node_force: Any, axis: int, force: Lanes, offset: O
 element_of_window = _make_cell_window("element")
 volume_of_window = _make_cell_window("volume")
 guard_of_window = _make_cell_window("guard")
+mean_stress_of_window = _make_mean_stress(has_more=False)
+mean_stress_of_window_with_more = _make_mean_stress(has_more=True)
 
 
 @intrinsic

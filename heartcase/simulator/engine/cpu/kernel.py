@@ -36,8 +36,8 @@ from heartcase.simulator.engine.cpu.cells import (
     gradient_of_window,
     guard_of_window,
     is_flat_window,
+    mean_stress_of_window,
     mean_stress_of_window_with_more,
-    mean_stress_of_windows,
     sharing_element_of_window,
     volume_of_window,
 )
@@ -148,19 +148,13 @@ def _share_strain(windows: Int32, rows: Int64, work: CellWork) -> None:
     for window in windows:
         if ghosts.window_number[window] >= 0:
             sum_of_ghosts(window, rows[window, 4], gradient, ghost_shares, sums, ghosts)
-    before = np.int64(-1)
-    for each in windows:
-        window = np.int64(each)
-        number = ghosts.window_number[window]
-        if number >= 0:
-            mean_stress_of_window_with_more(gradient, node_shares, sums, stress, cells.law, rows, window, number)
-        elif before < 0:
-            before = window
+    for window in windows:
+        place = np.int64(window)
+        number = ghosts.window_number[place]
+        if number < 0:
+            mean_stress_of_window(gradient, node_shares, sums, stress, cells.law, rows, place, number)
         else:
-            mean_stress_of_windows(gradient, node_shares, stress, cells.law, rows, before, window)
-            before = np.int64(-1)
-    if before >= 0:
-        mean_stress_of_windows(gradient, node_shares, stress, cells.law, rows, before, before)
+            mean_stress_of_window_with_more(gradient, node_shares, sums, stress, cells.law, rows, place, number)
     for window in windows:
         if ghosts.window_number[window] >= 0:
             share_with_ghosts(window, stress, ghosts)

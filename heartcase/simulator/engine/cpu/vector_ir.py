@@ -30,7 +30,6 @@ __all__ = [
     "Lanes",
     "Vector",
     "Window",
-    "WindowPair",
     "flush_subnormals",
     "has_many_registers",
     "has_wide_registers",
@@ -251,29 +250,6 @@ class Window:
         """The lanes of the three components at an offset from the window's own."""
         x, y, z = (self.load(data, axis, offset) for axis in range(3))
         return x, y, z
-
-    def store(self, value: Lanes, data: Any, component: int) -> None:
-        """Write a component's lanes."""
-        value.store(self.pointer(data, component))
-
-
-class WindowPair:
-    """The lanes of two windows, one after the other, in the code being emitted."""
-
-    count = 2 * LANE_COUNT
-
-    def __init__(self, one: Window, other: Window) -> None:
-        self.builder = one.builder
-        self._windows = (one, other)
-
-    def load(self, data: Any, component: int, offset: tuple[int, int, int] = (0, 0, 0)) -> Lanes:
-        """A component's lanes at an offset from the windows' own."""
-        return Lanes.joined([window.load(data, component, offset) for window in self._windows])
-
-    def store(self, value: Lanes, data: Any, component: int) -> None:
-        """Write a component's lanes."""
-        for number, window in enumerate(self._windows):
-            window.store(value.at([LANE_COUNT * number + lane for lane in range(LANE_COUNT)]), data, component)
 
 
 class CellWindow:
