@@ -25,8 +25,9 @@ from heartcase.simulator.engine.cpu.steps import STEPS_BY_ORDER
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.engine.shared.lanes import CELL_LANES, LANE_COUNT
 from heartcase.simulator.lattice.force_law import LOOK_BELOW, ForceLaw
+from heartcase.simulator.lattice.model import make_model
 from heartcase.simulator.lattice.state import State
-from tests.simulator.lattices import block, random_field, random_models, random_shares
+from tests.simulator.lattices import block, block_cells, random_field, random_models, random_shares
 
 SEEDS = st.integers(0, 2**32 - 1)
 LAWS = {
@@ -235,6 +236,45 @@ def test_many_steps_are_the_same_in_any_number_of_chunks(law):
         ends.append(engine.read().displacement.tobytes())
         assert np.isfinite(engine.read().displacement).all()
     assert len(set(ends)) == 1
+
+
+def sparse_model(law):
+    """Cells at random, so that many lanes hold none, of which each shares strain in part where the law has that."""
+    rng = np.random.default_rng(1)
+    cells = block_cells(20, 8, 14)
+    return under(make_model(cells[rng.random(len(cells)) < 0.3]), law)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_nothing_is_left_of_a_state_that_broke_down(law):
+    model = sparse_model(law)
+    start = State(random_field(model, 1, 0.1), random_field(model, 2, 0.01))
+    broken = State(np.full_like(start.displacement, np.nan), start.velocity)
+    ends = []
+    for states in ([start], [broken, start]):
+        engine = engine_of(model, 3)
+        for state in states:
+            engine.load(state)
+            engine.advance_by(2, 9, Verlet(0.1, 0.01), NO_PROBES)
+        ends.append(engine.read().displacement.tobytes())
+        assert np.isfinite(engine.read().displacement).all()
+    assert ends[0] == ends[1]
+
+
+def test_an_engine_goes_on_with_cells_that_share_strain_no_more_and_again():
+    model = sparse_model("sharing")
+    alone = replace(model, cell_shares=np.zeros_like(model.cell_shares))
+    start = State(random_field(model, 1, 0.1), random_field(model, 2, 0.01))
+    ends = {}
+    for models in ([model], [alone], [model, alone], [alone, model], [model, alone, model]):
+        engine = engine_of(models[0], 3)
+        for each in models:
+            engine.set_springs(each)
+            engine.load(start)
+            engine.advance_by(2, 9, Verlet(0.1, 0.01), NO_PROBES)
+        ends.setdefault(each.shares_strain, set()).add(engine.read().displacement.tobytes())
+    assert len(ends) == 2
+    assert all(len(found) == 1 for found in ends.values())
 
 
 def test_chunks_of_a_heart_work_out_few_tensions_twice():

@@ -18,6 +18,7 @@ from heartcase.simulator.engine.cpu.cells import (
     guard_of_window,
     mean_stress_of_window,
     sharing_element_of_window,
+    volume_of_window,
 )
 from heartcase.simulator.engine.cpu.steps import STEPS_BY_ORDER, step_of_windows_with_cells
 from heartcase.simulator.engine.cpu.vector_ir import Lanes
@@ -110,6 +111,7 @@ KERNELS = {
     "step": (step_of_windows_with_cells, STEP),
     "step in turn": (STEPS_BY_ORDER[False], STEP),
     "element": (element_of_window, [*[ARRAY] * 4, *CELLS]),
+    "volume": (volume_of_window, [*[ARRAY] * 4, *CELLS]),
     "gradient": (gradient_of_window, [*[ARRAY] * 3, *CELLS]),
     "mean stress": (mean_stress_of_window, [*[ARRAY] * 5, ROWS, WINDOW, WINDOW]),
     "sharing element": (sharing_element_of_window, [*[ARRAY] * 6, *CELLS]),
@@ -128,22 +130,29 @@ def test_the_compiler_is_free_to_change_no_number_of_a_kernel(name):
     assert not re.search(r"= (f\w+|(tail )?call) (fast|contract|reassoc|nnan|ninf|nsz|arcp|afn)\b", code)
 
 
-@pytest.mark.parametrize("name", ["element", "gradient", "sharing element", "guard"])
+@pytest.mark.parametrize("name", ["element", "volume", "gradient", "sharing element", "guard"])
 @pytest.mark.parametrize("in_pairs", [0, 1])
 def test_a_window_in_halves_gives_the_bits_of_one_at_once(name, in_pairs, monkeypatch):
-    """Where registers have 8 lanes, or fewer, it is worked out in halves; parts lie anywhere, also over each other."""
+    """Where registers have 8 lanes, or fewer, it is worked out in halves.
+
+    Parts lie anywhere, also over each other: the next row of one half's may be the own of the other's.
+    """
     window_kernel, kinds = KERNELS[name]
     rng = np.random.default_rng(in_pairs)
     given = [rng.normal(0.0, 0.05, 16 * BANK_LANES).astype(np.float32) for _ in kinds[:-3]]
     given[-1][:6] = 2.0  # a law whose floor of corners is above them all
-    starts = rng.choice(np.arange(2, 1000), (CELL_PARTS // (1 + in_pairs), 4))
-    starts = np.repeat(starts, 1 + in_pairs, axis=0) + PART_LANES * (np.arange(CELL_PARTS) % (1 + in_pairs))[:, None]
-    rows = starts.reshape(1, -1)
+    starts = rng.choice(np.arange(2, 60), (40, CELL_PARTS // (1 + in_pairs), 4))
+    starts = np.repeat(starts, 1 + in_pairs, axis=1) + PART_LANES * (np.arange(CELL_PARTS) % (1 + in_pairs))[:, None]
+    rows = starts.reshape(len(starts), -1)
     ends = []
     for is_wide in (False, True):
         monkeypatch.setattr(cells, "has_wide_registers", lambda context, is_wide=is_wide: is_wide)
-        arrays = [array.copy() for array in given]
         kernel = njit(lambda given: window_kernel(*given))
-        kernel((*arrays, rows, 0, np.int8(in_pairs)))
-        ends.append(b"".join(array.tobytes() for array in arrays))
-    assert ends[0] == ends[1] != b"".join(array.tobytes() for array in given)
+        found = []
+        for window in range(len(rows)):
+            arrays = [array.copy() for array in given]
+            kernel((*arrays, rows, window, np.int8(in_pairs)))
+            found.append(b"".join(array.tobytes() for array in arrays))
+        ends.append(found)
+    assert ends[0] == ends[1]
+    assert b"".join(array.tobytes() for array in given) not in ends[0]

@@ -240,13 +240,15 @@ def _add_forces(node_force: Any, added: list[tuple[Piece, Any]]) -> None:
     """Add the forces of a window of cells on their corners to those on the nodes.
 
     First the nodes in the lanes of the cells, then the one behind them, which may be in those of others: a number that
-    was just stored by itself is not at hand for a load of several.
+    was just stored by itself is not at hand for a load of several. Parts may have nodes in common: a corner's forces of
+    all pieces are added before the next corner's, as they would be of one.
     """
+    pieces = [here for here, _ in added]
     for is_behind in (False, True):
-        for here, forces in added:
-            for axis, at_corners in enumerate(forces):
-                corners = dict(zip(_CORNERS, at_corners, strict=True))
-                for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        for axis in range(3):
+            of_pieces = [dict(zip(_CORNERS, forces[axis], strict=True)) for _, forces in added]
+            for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
+                for here, corners in zip(pieces, of_pieces, strict=True):
                     at_left, at_right = corners[0, j, k], corners[1, j, k]
                     if is_behind:
                         _add_behind(here, node_force, axis, at_right, (1, j, k))

@@ -51,7 +51,9 @@ class ChunkArrays(NamedTuple):
     chunk_of: Int32
     """Chunk that steps each window, -1 for those that sleep, shape (window_count,)."""
     touches: Int64
-    """Windows of nodes that the cells of a window have corners in, then -1, shape (cell_window_count, 8)."""
+    """Windows of nodes that the cells of a window have corners in, then -1, shape (cell_window_count, any)."""
+    touched_ends: Int32
+    """The lowest and the highest of these, shape (cell_window_count, 2)."""
     cells: Int32
     """Windows of cells that have a corner in a chunk come first, shape (chunk_count, cell_window_count)."""
     cell_counts: Int64
@@ -78,6 +80,7 @@ def chunk_arrays(behind: Int32, touches: Int64, sleep: SleepArrays, layer_count:
     """Share out the windows of a layout to as many chunks as there are threads, if its layers are enough."""
     chunk_count = max(1, min(get_num_threads(), layer_count // _LAYERS_MIN))
     window_count = len(behind)
+    lowest = touches.min(axis=1, initial=window_count, where=touches >= 0)
     chunks = ChunkArrays(
         behind,
         np.zeros(chunk_count + 1, np.int64),
@@ -86,6 +89,7 @@ def chunk_arrays(behind: Int32, touches: Int64, sleep: SleepArrays, layer_count:
         np.zeros(window_count, np.int32),
         np.zeros(window_count, np.int32),
         touches,
+        np.stack([lowest, touches.max(axis=1, initial=-1)], axis=1).astype(np.int32),
         np.zeros((chunk_count, len(touches)), np.int32),
         np.zeros(chunk_count, np.int64),
         np.zeros(window_count, np.int32),
@@ -178,39 +182,43 @@ def share_out(chunks: ChunkArrays, sleep: SleepArrays) -> None:
                 cell_counts[chunk] += 1
     _list_corners(chunks, sleep)
     if chunks.shares_strain[0]:
+        taken_by[:] = 0
         for chunk in range(chunk_count):
             _list_means(chunk, chunks, sleep)
 
 
 @kernel
 def _list_means(chunk: int, chunks: ChunkArrays, sleep: SleepArrays) -> None:
-    """List the means around the corners of a chunk's cells, and the gradients that these are of."""
-    touches, place_of = chunks.touches, chunks.taken_by
+    """List the means around the corners of a chunk's cells, and the gradients that these are of.
+
+    Of ``chunks.taken_by``, all zero before and after, only what the chunk needs is touched: there may be many chunks.
+    """
+    touches, touched_ends, place_of = chunks.touches, chunks.touched_ends, chunks.taken_by
     cells, means = chunks.cells[chunk, : chunks.cell_counts[chunk]], chunks.means[chunk]
-    place_of[:] = 0
+    lowest, highest = len(place_of), -1
     for window in cells:
+        lowest, highest = min(lowest, touched_ends[window, 0]), max(highest, touched_ends[window, 1])
         for touched in touches[window]:
             if touched < 0:
                 break
             place_of[touched] = 1
     mean_count = 0
-    for window in range(len(place_of)):
+    for window in range(lowest, highest + 1):
         if place_of[window]:
             means[mean_count] = window
             mean_count += 1
             place_of[window] = mean_count
     most = 0
     for place in range(len(cells)):
-        for touched in touches[cells[place]]:
-            if touched < 0:
-                break
-            most = max(most, place_of[touched])
+        most = max(most, place_of[touched_ends[cells[place], 1]])
         chunks.mean_ends[chunk, place] = most
     ends = chunks.strained_ends[chunk]
     ends[:mean_count] = 0
     count = 0
     for number in range(sleep.counts[1]):
         window = sleep.awake_cells[number]
+        if touched_ends[window, 1] < lowest or touched_ends[window, 0] > highest:
+            continue
         is_around = False
         for touched in touches[window]:
             if touched < 0:
@@ -221,8 +229,9 @@ def _list_means(chunk: int, chunks: ChunkArrays, sleep: SleepArrays) -> None:
         if is_around:
             chunks.strained[chunk, count] = window
             count += 1
-    for place in range(1, mean_count):
-        ends[place] = max(ends[place], ends[place - 1])
+    for place in range(mean_count):
+        ends[place] = max(ends[place], ends[max(place - 1, 0)])
+        place_of[means[place]] = 0
 
 
 @kernel

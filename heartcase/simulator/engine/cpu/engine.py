@@ -1,4 +1,4 @@
-"""The engine on the CPU: float32, all cores, vectors of 8 lanes."""
+"""The engine on the CPU: float32, all cores, vectors of 8 lanes, of 16 for cells."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ class CpuEngine:
         """Start from this state."""
         write_vectors(self.layout.node_lane, state.displacement, self.displacement)
         write_vectors(self.layout.node_lane, state.velocity, self.velocity)
-        # Lanes without a cell read what was left there, with a share of zero: no NaN of a state that broke down.
+        # Lanes without a cell are read, too, with a share of zero: no NaN of a state that broke down must be left.
         for means in self._means:
             means[:] = 0.0
         self.step_count = state.step_count

@@ -5,7 +5,8 @@ move (:mod:`heartcase.simulator.engine.cpu.steps`). Where elements share strain,
 and the stress of the means around nodes before the forces that need them; those that two threads need both of them
 write, with the same bits. A window reads only what was written before the last barrier, or by its own thread
 (:mod:`heartcase.simulator.engine.cpu.chunks`), and writes only its own lanes, so that the result does not depend on the
-number of threads.
+number of threads. Lanes without a cell it may read while another thread writes them, with a share of zero: how far a
+NaN of a state that breaks down has come does depend on threads.
 
 Where springs act alone, corners that are about to turn inside out are looked for in the first step and every LOOK_STEPS
 from there, or in every step while there are probes; in between, only the windows that had such corners are looked
