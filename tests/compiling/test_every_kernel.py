@@ -15,6 +15,7 @@ import re
 import sys
 from contextlib import nullcontext
 from pathlib import Path
+from unittest.mock import patch
 
 import numba
 import numpy as np
@@ -25,6 +26,8 @@ from heartcase.cli.main import main
 from heartcase.compiling.kernel import KERNELS
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.building.session_file import open_session
+from heartcase.pipeline.watershed import forest
+from heartcase.pipeline.watershed.painting import paint_boxes
 from heartcase.schemas.bundle.manifest import listed_files
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.simulator.arrangement.sheet_sides import directions_of
@@ -104,6 +107,13 @@ def test_a_session_paints_and_erases(out, tmp_path):
     session.undo(), session.undo()
     session.put_off()
     np.testing.assert_array_equal(session.labels, before)
+    # Labels of a box that is put off, by a table of all basins.
+    with patch.multiple(forest, MOST_AT_ONCE=0, MOST_LISTED=10**9, MOST_ONE_BY_ONE=0):
+        session.paint(Stroke(label="aorta", radius_mm=3.0, points_mm=[(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)]))
+        assert session.put_off_tiles.any()
+        found = session.labels_of_box((slice(None), slice(None), slice(None)))
+    assert paint_boxes.overloads
+    np.testing.assert_array_equal(found, session.labels)
 
 
 def test_the_phantom_knows_its_truth(tmp_path):
