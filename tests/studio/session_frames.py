@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from pathlib import Path
@@ -20,8 +19,8 @@ import numpy as np
 from heartcase.pipeline.building.runner import SilentListener
 from heartcase.studio.painting.painting import open_painting
 from heartcase.studio.painting.requests import parse_request
+from tests.studio.timed_strokes import messages, planes, print_times
 
-NORMALS = ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
 RESTS = 20
 """Times that the rest is asked for after a stroke, at most: the next one begins before all has come."""
 
@@ -53,27 +52,19 @@ def main() -> int:
     painting = open_painting(recipe, out=given.folder / "out", listener=SilentListener())
     session = painting._opened.session
     frames = Frames(painting)
-    x, y, z = session.geometry.index_to_world(np.array([session.geometry.size]) // 2)[0].tolist()
-    frames.ask("look", planes=[{"point_mm": (x, y, z), "normal": normal} for normal in NORMALS])
+    middle = session.geometry.index_to_world(np.array([session.geometry.size]) // 2)[0].tolist()
+    frames.ask("look", planes=planes(middle))
     names = [label.name for label in session.table]
     for stroke in range(given.strokes):
-        for step in range(14):
-            way, angle = (4.0 + 6.0 * step) * given.mm_per_pixel, 2.4 * stroke
-            points = [(x + way * math.cos(angle), y + way * math.sin(angle), z)]
-            if step:
-                frames.ask("extend", points_mm=points)
-            else:
-                frames.ask("paint", label=names[stroke % 5], radius_mm=3.0, points_mm=points)
+        for do, said in messages(stroke, middle, names, given.mm_per_pixel):
+            frames.ask(do, **said)
         frames.ask("end")
         for _ in range(RESTS):
             if '"rest": true' not in frames.ask("rest").done:
                 break
     for _ in range(given.strokes):
         frames.ask("undo")
-    print(f"{session.geometry.size} voxels, ms: median, 99%, most")
-    for kind, took in frames.took.items():
-        half, most = np.percentile(took, [50, 99])
-        print(f"{kind:8} {len(took):5} {half:8.1f} {most:8.1f} {max(took):8.1f}")
+    print_times(session.geometry.size, frames.took)
     return 0
 
 

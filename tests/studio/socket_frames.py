@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import http.client
 import json
-import math
 import sys
 import threading
 import time
@@ -23,11 +22,11 @@ from urllib.parse import urlsplit
 import numpy as np
 from websockets.sync.client import connect
 
-from tests.studio.session_frames import NORMALS
+from tests.studio.timed_strokes import messages, planes, print_times
 
 PAUSE_S = 0.12
 """As ``PAUSE_MS`` of the page: the rest is asked for when no labels changed for so long."""
-WAIT_S = 0.02
+WAIT_S = 0.005
 """As ``WAIT_MS`` of the page: the quick surface is asked for so long after a stroke."""
 
 
@@ -104,18 +103,13 @@ def main() -> int:
     talk.wait(lambda: "structures" in talk.opened or "failed" in talk.opened)
     opened = talk.opened["opened"]
     size, affine = np.array(opened["size"]), np.array(opened["index_to_world"])
-    x, y, z = (affine[:3, :3] @ (size // 2) + affine[:3, 3]).tolist()
-    talk.ask("look", planes=[{"point_mm": (x, y, z), "normal": normal} for normal in NORMALS])
+    middle = (affine[:3, :3] @ (size // 2) + affine[:3, 3]).tolist()
+    talk.ask("look", planes=planes(middle))
     names = [label["name"] for label in opened["labels"]]
     surfaces = []
     for stroke in range(given.strokes):
-        for step in range(14):
-            way, angle = (4.0 + 6.0 * step) * given.mm_per_pixel, 2.4 * stroke
-            points = [(x + way * math.cos(angle), y + way * math.sin(angle), z)]
-            if step:
-                talk.send("extend", points_mm=points)
-            else:
-                talk.send("paint", label=names[stroke % 5], radius_mm=3.0, points_mm=points)
+        for do, said in messages(stroke, middle, names, given.mm_per_pixel):
+            talk.send(do, **said)
             time.sleep(given.apart_ms / 1000.0)
         over = time.perf_counter()
         talk.ask("end")
@@ -129,10 +123,7 @@ def main() -> int:
             talk.ask("rest")
     for _ in range(given.strokes):
         talk.ask("undo")
-    print(f"{size.tolist()} voxels, ms: median, 99%, most")
-    for kind, took in talk.took.items():
-        half, most = np.percentile(took, [50, 99])
-        print(f"{kind:8} {len(took):5} {half:8.1f} {most:8.1f} {max(took):8.1f}")
+    print_times(size.tolist(), talk.took)
     if surfaces:
         print(f"surface, from the end of a stroke: {np.median(surfaces):8.1f} {max(surfaces):8.1f}")
     return 0

@@ -54,14 +54,10 @@ _FLOOR_NUMBER = 5
 _math = make_cell_math(lambda function: function, Lanes.positive_part)
 
 
-Piece = CellWindow
-"""All of a window of cells, or as much of it as is worked out at once."""
-
-
-def _for_pieces(
-    context: Any, builder: Any, rows: Any, window: Any, in_pairs: Any, emit: Callable[[list[Piece]], Any]
+def _at_once_or_in_halves(
+    context: Any, builder: Any, rows: Any, window: Any, in_pairs: Any, emit: Callable[[list[CellWindow]], Any]
 ) -> None:
-    """Emit code for the pieces of a window: one where there are 32 registers of 16 lanes, else two.
+    """Emit code for a window of cells: for all of it where there are 32 registers of 16 lanes, else for its two halves.
 
     It is there twice, for windows whose parts follow each other in pairs and for others.
     """
@@ -74,7 +70,7 @@ def _for_pieces(
                 emit([CellWindow(builder, rows, window, these, has_pairs) for these in parts])
 
 
-def _corners_of(here: Piece, displacement: Any) -> tuple[Vector, ...]:
+def _corners_of(here: CellWindow, displacement: Any) -> tuple[Vector, ...]:
     return tuple(here.load_vector(displacement, offset) for offset in _CORNERS)
 
 
@@ -92,9 +88,9 @@ def _make_cell_window(kind: str) -> Any:
             u, n, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
             window_of, flag = arguments[5], _Flag(builder)
 
-            def emit(pieces: list[Piece]) -> None:
+            def emit(halves: list[CellWindow]) -> None:
                 added = []
-                for here in pieces:
+                for here in halves:
                     corners, scale = _corners_of(here, u), _number(here, n, window_of, 0)
                     if kind == "element":
                         moments, law_of = _moments(here, n, window_of), _law(here, constants)
@@ -109,7 +105,7 @@ def _make_cell_window(kind: str) -> Any:
                         flag.raise_where_flat(corners, scale)
                 _add_forces(f, added)
 
-            _for_pieces(context, builder, starts, window_of, arguments[6], emit)
+            _at_once_or_in_halves(context, builder, starts, window_of, arguments[6], emit)
             return nothing(context) if kind == "guard" else flag.read()
 
         result = types.void if kind == "guard" else types.boolean
@@ -132,9 +128,9 @@ def sharing_element_of_window(
         u, n, w, p, f, constants, starts = (array_data(context, builder, *pair) for pair in arrays)
         window_of, flag = arguments[7], _Flag(builder)
 
-        def emit(pieces: list[Piece]) -> None:
+        def emit(halves: list[CellWindow]) -> None:
             added = []
-            for here in pieces:
+            for here in halves:
                 corners = _corners_of(here, u)
                 weights = [here.number(w, window_of, number, SHARE_NUMBERS) for number in range(SHARE_NUMBERS)]
                 shared = _sum(here, weights, p, _CORNERS)
@@ -144,7 +140,7 @@ def sharing_element_of_window(
                 flag.raise_where_flat(corners, scale)
             _add_forces(f, added)
 
-        _for_pieces(context, builder, starts, window_of, arguments[8], emit)
+        _at_once_or_in_halves(context, builder, starts, window_of, arguments[8], emit)
         return flag.read()
 
     arrays = (displacement, numbers, shares, stress, cell_force, law, rows)
@@ -159,13 +155,13 @@ def gradient_of_window(typing_context, displacement, numbers, gradient, rows, wi
         arrays = zip(signature.args[:4], arguments, strict=False)
         u, n, g, starts = (array_data(context, builder, *pair) for pair in arrays)
 
-        def emit(pieces: list[Piece]) -> None:
-            for here in pieces:
+        def emit(halves: list[CellWindow]) -> None:
+            for here in halves:
                 columns = _math.gradient(_corners_of(here, u), _moments(here, n, arguments[4]))
                 for number, value in enumerate(component for column in columns for component in column):
                     here.store(value, g, number)
 
-        _for_pieces(context, builder, starts, arguments[4], arguments[5], emit)
+        _at_once_or_in_halves(context, builder, starts, arguments[4], arguments[5], emit)
         return nothing(context)
 
     return types.void(displacement, numbers, gradient, rows, types.int64, types.int8), codegen
@@ -201,7 +197,7 @@ def _make_mean_stress(has_more: bool) -> Any:
     return stress_of
 
 
-def _sum(here: Window | Piece, weights: list[Lanes], values: Any, offsets: list[Offset]) -> list[Lanes]:
+def _sum(here: Window | CellWindow, weights: list[Lanes], values: Any, offsets: list[Offset]) -> list[Lanes]:
     """Nine numbers each at eight offsets, times a weight each, added up."""
     totals: list[Lanes] = []
     for weight, offset in zip(weights, offsets, strict=False):
@@ -214,7 +210,7 @@ def _columns(nine: list[Lanes]) -> tuple[Vector, ...]:
     return tuple((nine[place], nine[place + 1], nine[place + 2]) for place in (0, 3, 6))
 
 
-def _number(here: Piece, numbers: Any, window: Any, which: int) -> Lanes:
+def _number(here: CellWindow, numbers: Any, window: Any, which: int) -> Lanes:
     return here.number(numbers, window, which, CELL_NUMBERS)
 
 
@@ -222,33 +218,33 @@ def _share(here: Window, shares: Any, window: Any, which: int) -> Lanes:
     return Lanes.of_window(here.builder, shares, window, which, SHARE_NUMBERS)
 
 
-def _moments(here: Piece, numbers: Any, window: Any) -> tuple[Lanes, ...]:
+def _moments(here: CellWindow, numbers: Any, window: Any) -> tuple[Lanes, ...]:
     return tuple(_number(here, numbers, window, number) for number in range(1, CELL_NUMBERS - 1))
 
 
-def _law(here: Window | Piece, constants: Any) -> tuple[Lanes, ...]:
+def _law(here: Window | CellWindow, constants: Any) -> tuple[Lanes, ...]:
     return tuple(_constant(here, constants, number) for number in range(5))
 
 
-def _constant(here: Window | Piece, array: Any, number: int) -> Lanes:
+def _constant(here: Window | CellWindow, array: Any, number: int) -> Lanes:
     builder = here.builder
     value = builder.load(builder.gep(array, [ir.Constant(ir.IntType(64), number)]))
     return Lanes.filled(builder, value, here.count)
 
 
-def _add_forces(node_force: Any, added: list[tuple[Piece, Any]]) -> None:
+def _add_forces(node_force: Any, added: list[tuple[CellWindow, Any]]) -> None:
     """Add the forces of a window of cells on their corners to those on the nodes.
 
     First the nodes in the lanes of the cells, then the one behind them, which may be in those of others: a number that
     was just stored by itself is not at hand for a load of several. Parts may have nodes in common: a corner's forces of
-    all pieces are added before the next corner's, as they would be of one.
+    all halves are added before the next corner's, as they would be of a whole window.
     """
-    pieces = [here for here, _ in added]
+    halves = [here for here, _ in added]
     for is_behind in (False, True):
         for axis in range(3):
-            of_pieces = [dict(zip(_CORNERS, forces[axis], strict=True)) for _, forces in added]
+            of_halves = [dict(zip(_CORNERS, forces[axis], strict=True)) for _, forces in added]
             for j, k in ((0, 0), (1, 0), (0, 1), (1, 1)):
-                for here, corners in zip(pieces, of_pieces, strict=True):
+                for here, corners in zip(halves, of_halves, strict=True):
                     at_left, at_right = corners[0, j, k], corners[1, j, k]
                     if is_behind:
                         _add_behind(here, node_force, axis, at_right, (1, j, k))
@@ -256,20 +252,20 @@ def _add_forces(node_force: Any, added: list[tuple[Piece, Any]]) -> None:
                         _add_in_lanes(here, node_force, axis, at_left + _moved_on(here, at_right), (0, j, k))
 
 
-def _moved_on(here: Piece, lanes: Lanes) -> Lanes:
+def _moved_on(here: CellWindow, lanes: Lanes) -> Lanes:
     """Lanes that follow each other in memory one place on, after a zero; the last is left out."""
     firsts = {places[0] for places in here.pieces}
     places = [here.count if place in firsts else place - 1 for place in range(here.count)]
     return lanes.at(places, Lanes.filled(here.builder, 0.0, here.count))
 
 
-def _add_in_lanes(here: Piece, node_force: Any, axis: int, force: Lanes, offset: Offset) -> None:
+def _add_in_lanes(here: CellWindow, node_force: Any, axis: int, force: Lanes, offset: Offset) -> None:
     for piece, places in enumerate(here.pieces):
         pointer = here.pointer(piece, node_force, axis, offset)
         (Lanes.loaded(here.builder, pointer, len(places)) + force.at([*places])).store(pointer)
 
 
-def _add_behind(here: Piece, node_force: Any, axis: int, force: Lanes, offset: Offset) -> None:
+def _add_behind(here: CellWindow, node_force: Any, axis: int, force: Lanes, offset: Offset) -> None:
     i, j, k = offset
     for piece, places in enumerate(here.pieces):
         pointer = here.pointer(piece, node_force, axis, (i * len(places), j, k))
@@ -336,11 +332,11 @@ def is_flat_window(typing_context, displacement, numbers, rows, window, in_pairs
         u, n, starts = (array_data(context, builder, *pair) for pair in arrays)
         flag = _Flag(builder)
 
-        def emit(pieces: list[Piece]) -> None:
-            for here in pieces:
+        def emit(halves: list[CellWindow]) -> None:
+            for here in halves:
                 flag.raise_where_flat(_corners_of(here, u), _number(here, n, arguments[3], 0))
 
-        _for_pieces(context, builder, starts, arguments[3], arguments[4], emit)
+        _at_once_or_in_halves(context, builder, starts, arguments[3], arguments[4], emit)
         return flag.read()
 
     return types.boolean(displacement, numbers, rows, types.int64, types.int8), codegen

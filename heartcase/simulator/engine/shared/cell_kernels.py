@@ -6,6 +6,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.simulator.engine.shared.lane_kernels import U, node_in_lane
+from heartcase.simulator.engine.shared.lanes import CELL_LANES, CELL_PARTS, CORNER_ROWS, GHOST_CELLS, PART_LANES
 
 __all__ = [
     "lay_out_cells",
@@ -14,10 +15,6 @@ __all__ = [
     "share_by_node_window",
     "write_lists",
 ]
-
-_GHOST_CELLS, _PART_LANES, _CELL_PARTS, _CELL_LANES = 4, 4, 4, 16
-_CORNER_ROWS = (4, 5, 7, 8)
-"""Rows around a window that its cells have corners in."""
 
 
 @kernel
@@ -60,24 +57,24 @@ def lay_out_cells(
             slot = node_slot[U(corners[U(cell), U(0)])]
             window, place = U(slot >> 3), slot & 7
             low[window], high[window] = min(low[window], place), max(high[window], place)
-    starts = rows.reshape(-1, len(_CORNER_ROWS))
+    starts = rows.reshape(-1, len(CORNER_ROWS))
     # The window that is being filled with single parts and the one with pairs: number, and parts that it has.
-    number, filled = np.zeros(2, np.int64), np.full(2, _CELL_PARTS)
+    number, filled = np.zeros(2, np.int64), np.full(2, CELL_PARTS)
     count = 0
     for each in range(len(window_rows)):
         window = U(each)
         if high[window] < 0:
             continue
-        is_pair = int(high[window] - low[window] >= _PART_LANES)
-        if filled[is_pair] == _CELL_PARTS:
+        is_pair = int(high[window] - low[window] >= PART_LANES)
+        if filled[is_pair] == CELL_PARTS:
             number[is_pair], filled[is_pair] = count, 0
             in_pairs[count] = is_pair
             count += 1
-        part = _CELL_PARTS * number[is_pair] + filled[is_pair]
-        low[window], high[window] = 0 if is_pair else min(low[window], _PART_LANES), part
+        part = CELL_PARTS * number[is_pair] + filled[is_pair]
+        low[window], high[window] = 0 if is_pair else min(low[window], PART_LANES), part
         for pair in range(1 + is_pair):
-            for row in range(len(_CORNER_ROWS)):
-                lane = window_rows[window, U(_CORNER_ROWS[row])] + low[window] + _PART_LANES * pair
+            for row in range(len(CORNER_ROWS)):
+                lane = window_rows[window, U(CORNER_ROWS[row])] + low[window] + PART_LANES * pair
                 starts[U(part + pair), U(row)] = lane
         filled[is_pair] += 1 + is_pair
     for cell in range(len(corners)):
@@ -85,19 +82,19 @@ def lay_out_cells(
             node = U(corners[U(cell), U(0)])
             window, place = U(node_slot[node] >> 3), node_slot[node] & 7
             cell_lane[U(cell)] = node_lane[node]
-            cell_slot[U(cell)] = _PART_LANES * high[window] + place - low[window]
+            cell_slot[U(cell)] = PART_LANES * high[window] + place - low[window]
     ghost_window = count
-    count += (2 * len(ghost_start) + _CELL_PARTS - 1) // _CELL_PARTS
+    count += (2 * len(ghost_start) + CELL_PARTS - 1) // CELL_PARTS
     in_pairs[ghost_window:count] = 1
     for block in range(len(ghost_start)):
         for pair in range(2):
-            part = _CELL_PARTS * ghost_window + 2 * block + pair
-            for row in range(len(_CORNER_ROWS)):
-                starts[part, row] = ghost_start[block] + 8 * row + _PART_LANES * pair
+            part = CELL_PARTS * ghost_window + 2 * block + pair
+            for row in range(len(CORNER_ROWS)):
+                starts[part, row] = ghost_start[block] + 8 * row + PART_LANES * pair
     for place in range(len(irregular)):
-        block, own = place // _GHOST_CELLS, 2 * (place % _GHOST_CELLS)
+        block, own = place // GHOST_CELLS, 2 * (place % GHOST_CELLS)
         lane = ghost_start[block] + own
-        cell_lane[irregular[place]], cell_slot[irregular[place]] = lane, _CELL_LANES * ghost_window + 8 * block + own
+        cell_lane[irregular[place]], cell_slot[irregular[place]] = lane, CELL_LANES * ghost_window + 8 * block + own
         for corner in range(8):
             ghost_lane[place, corner] = lane + (corner & 1) + 8 * (corner >> 1)
     return count, ghost_window
@@ -129,8 +126,8 @@ def ranges_touched(corners, node_lane, cell_slot, rows, ghost_window, cell_in, r
     count = 0
     for window in range(len(rows)):
         place = 0
-        while place < _CELL_LANES:
-            cell = cell_in[U(_CELL_LANES * window + place)]
+        while place < CELL_LANES:
+            cell = cell_in[U(CELL_LANES * window + place)]
             place += 1
             if cell < 0:
                 continue
@@ -141,11 +138,11 @@ def ranges_touched(corners, node_lane, cell_slot, rows, ghost_window, cell_in, r
                     count += 1
                 continue
             # Corners of cells of a part that follow each other lie in as many lanes of four rows, and one more.
-            low, part = place - 1, (place - 1) // _PART_LANES
-            while place < _PART_LANES * (part + 1) and cell_in[U(_CELL_LANES * window + place)] >= 0:
+            low, part = place - 1, (place - 1) // PART_LANES
+            while place < PART_LANES * (part + 1) and cell_in[U(CELL_LANES * window + place)] >= 0:
                 place += 1
-            for number in range(len(_CORNER_ROWS)):
-                lane = rows[U(window), U(len(_CORNER_ROWS) * part + number)] - _PART_LANES * part
+            for number in range(len(CORNER_ROWS)):
+                lane = rows[U(window), U(len(CORNER_ROWS) * part + number)] - PART_LANES * part
                 ranges[U(count), U(0)] = window
                 ranges[U(count), U(1)], ranges[U(count), U(2)] = lane + low, lane + place
                 count += 1
@@ -168,8 +165,8 @@ def write_lists(numbers, firsts, lists):
 def number_by_window(values, cell_in, first, numbers):
     """Write numbers of the cells, shape (any, cell_count), by window behind the first, shape (count, any, 16)."""
     for window in range(len(numbers)):
-        for place in range(_CELL_LANES):
-            cell = cell_in[_CELL_LANES * window + place]
+        for place in range(CELL_LANES):
+            cell = cell_in[CELL_LANES * window + place]
             if cell >= 0:
                 for number in range(len(values)):
                     numbers[window, first + number, place] = values[number, cell]

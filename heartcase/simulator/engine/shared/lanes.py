@@ -85,7 +85,7 @@ GHOST_CELLS = 4
 CORNER_ROWS = (4, 5, 7, 8)
 """Numbers in ROWS of the rows that a cell has corners in, by the corner's j + 2 k."""
 PART_LANES = 4
-"""Lanes of a part of a window of cells, all in one window of nodes: in a heart, of eight half are empty."""
+"""Lanes of a part of a window of cells, all in one window of nodes; of eight, nearly half hold no cell of a heart."""
 CELL_PARTS = 4
 CELL_LANES = PART_LANES * CELL_PARTS
 """Cells of a window of cells, one AVX-512 register in float32; other processors work out a part of them at a time."""
