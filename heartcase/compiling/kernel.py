@@ -8,15 +8,17 @@ import os
 import pickle
 import uuid
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import IO, Any, overload
 
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 from heartcase.compiling.compile_lock import compiled_by_one
+from heartcase.compiling.loops import LoopKernel
 from heartcase.compiling.sources import source_stamp
 
-__all__ = ["KERNELS", "cache_folder", "kernel", "write_unfinished_to"]
+__all__ = ["KERNELS", "cache_folder", "kernel", "loop_kernel", "write_unfinished_to"]
 
 KERNELS: list[Any] = []
 """Dispatchers of all kernels of the modules that are loaded, in the order of their definition."""
@@ -49,13 +51,30 @@ def kernel(function: Callable[..., Any] | None = None, /, *, cached: bool = True
     """
     if function is None:
         return lambda given: kernel(given, cached=cached, **options)
+    dispatcher = _compiled(function, cached=cached, options=options)
+    KERNELS.append(dispatcher)
+    return dispatcher
+
+
+def loop_kernel(function: Callable[..., Any]) -> LoopKernel:
+    """Make a kernel whose loop over ``prange`` several threads share: see :mod:`heartcase.compiling.loops`.
+
+    Python calls it; other kernels cannot. It is for functions that only assign names and then run one such loop, in
+    which no name is a sum over it. Others are ``kernel(parallel=True)``, which takes twice as long to compile.
+    """
+    shared = LoopKernel(function, partial(_compiled, cached=True, options={}))
+    KERNELS.append(shared)
+    return shared
+
+
+def _compiled(function: Callable[..., Any], *, cached: bool, options: dict[str, Any]) -> Any:
+    """Numba's dispatcher of a function, with the cache."""
     # Nobody calls a kernel by its address: the wrapper for that need not be compiled.
     dispatcher: Any = numba.njit(**{"nogil": True, "no_cfunc_wrapper": True} | options)(function)
     if cached:
         dispatcher._cache = _KernelCache(function)
         lock = os.path.join(dispatcher._cache.cache_path, f"{dispatcher._cache._impl.filename_base}.lock")
         dispatcher.compile = compiled_by_one(dispatcher.compile, dispatcher.overloads.__contains__, lock)
-    KERNELS.append(dispatcher)
     return dispatcher
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.phantom.anatomy.regions import CAVITY_COUNT, region_value
 
 __all__ = ["STEEPNESS", "border_distances"]
@@ -92,7 +92,7 @@ def _border_distances_part(
         )
 
 
-@kernel(parallel=True)
+@loop_kernel
 def border_distances(
     tables, ends, canals, thickness, wall_label, region, points, upper, tolerance, steepness, distances
 ):

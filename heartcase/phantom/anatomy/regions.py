@@ -21,7 +21,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.phantom.anatomy.tables import table_value
 
 __all__ = ["CAVITY_COUNT", "MYOCARDIUM", "TISSUE", "label_points", "materials", "region_value", "region_values"]
@@ -132,7 +132,7 @@ def _label_points_part(tables, ends, canals, thickness, wall_label, points, labe
         labels[n] = _label(d, c, k, thickness, wall_label)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def label_points(tables, ends, canals, thickness, wall_label, points, labels):
     """Fill ``labels`` at points, shape (n, 3)."""
     count = points.shape[0]
@@ -171,7 +171,7 @@ def _materials_part(tables, ends, canals, thickness, points, material, clearance
         hull[n] = solid
 
 
-@kernel(parallel=True)
+@loop_kernel
 def materials(tables, ends, canals, thickness, points, material, clearance, hull):
     """Fill what a scanner sees at points: it knows no end discs, so vessels go on behind them.
 
@@ -251,7 +251,7 @@ def _region_values_part(tables, ends, canals, thickness, wall_label, region, poi
         values[n] = region_value(tables, ends, canals, thickness, wall_label, region, x, y, z, d, c)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def region_values(tables, ends, canals, thickness, wall_label, region, points, values):
     """Fill ``values`` with a region's value at points, shape (n, 3)."""
     count = points.shape[0]

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from heartcase.compiling.calls import called
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.cells.changes import Change, topology_changes
 from heartcase.pipeline.cells.hinges import HingeRepairs, hanging_cells, mend_hinges
 from heartcase.pipeline.cells.moments import cell_moments
@@ -421,7 +421,7 @@ def _find_ridges_of_plane(tissue, depth, ridge, z):
             ridge[z, y, x] = max(height, half * (e + f) + (here - min(e, f)))
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _find_ridges(tissue, depth, ridge):
     """Depth at the samples that are as deep as their six neighbours, 0 elsewhere; the first two are a sample wider.
 

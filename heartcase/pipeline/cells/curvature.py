@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.data import SimulationGrid
 from heartcase.pipeline.kernels.vectors import cross
 from heartcase.schemas.arrays import Float32, Float64, Int32
@@ -227,7 +227,7 @@ def _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_
     curved_error[v] = np.sqrt(total_curved) / _AMPLITUDE if defined else np.inf
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _errors(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned):
     for v in numba.prange(len(places)):
         _errors_at(places, facing, triangle_nodes, weights, nodes, neighbours, flat_error, curved_error, aligned, v)

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice
 from heartcase.schemas.arrays import Bool, Float32, Float64, UInt8, UInt16
@@ -203,7 +203,7 @@ def _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell
                 coverage[k, j, i] = min(total / (s * s * s), 1.0)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _measure(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label):
     for k in numba.prange(len(coverage)):
         _measure_layer(tissue_mm, tissue_label, wz, wy, wx, s, width, coverage, cell_label, k)
@@ -267,7 +267,7 @@ def _label_layer(void, void_label, s, piece, count, main, main_label, k):
             main_label[k, j, i] = best
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _label_pieces(void, void_label, s, piece, count, main, main_label):
     for k in numba.prange(len(count)):
         _label_layer(void, void_label, s, piece, count, main, main_label, k)

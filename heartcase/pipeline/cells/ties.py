@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.cells.ways import (
     FieldsInCells,
@@ -246,7 +246,7 @@ def _choose_some(places, normals, fields, who, triangles, tried, apart, penalty,
             break
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _choose(
     places, normals, layout, tables, lattice, who, all_triangles, tried, apart, penalty, check, most, chosen, score
 ):
@@ -271,7 +271,7 @@ def _choose(
         )
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _closest_weights(points, corners, out):
     steps = 16777216.0
     for n in numba.prange(len(points)):

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.compartments import Change, compartment_changes
@@ -141,7 +141,7 @@ def _fine_labels(
     return fine, fine_geometry
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _fill_fine(layout, tables, start, step, coarse, near, fine):
     """Label of each fine point: evaluated in the voxels that are near, else their centre's."""
     nz, ny, nx = fine.shape

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.fields.contacts import Extent, faces_between
 from heartcase.pipeline.kernels.topology import piece_sizes
 from heartcase.schemas.arrays import Bool, UInt8, UInt32
@@ -159,7 +159,7 @@ def _large_pieces(blood: Bool, least: int) -> UInt32:
     return large
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _renumber(pieces, numbers):
     for n in numba.prange(len(pieces)):
         pieces[n] = numbers[pieces[n]]
@@ -206,7 +206,7 @@ def _count_runs(before, after, factor):
     return found
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _list_runs(before, after, factor, start, rows, columns, counts):
     """Both pieces of each run, and its voxels; the runs of each plane begin at ``start``."""
     for k in numba.prange(len(after)):

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.shapes import SHAPE_KINDS
@@ -224,7 +224,7 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):
             block_count[bk, bj, bi] = count
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _find_fields_of_blocks(layout, block_count, block_fields):
     """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping and no septum reaches.
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Float32, UInt8
 
 __all__ = ["Box", "Part", "Touch", "divide", "find_touches", "heights_of_groups", "leads_of"]
@@ -184,7 +184,7 @@ def leads_of(heights: Sequence[Float32]) -> list[Float32]:
     return leads
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _two_highest(highest, second, values):
     for n in numba.prange(len(values)):
         if values[n] > highest[n]:
@@ -194,7 +194,7 @@ def _two_highest(highest, second, values):
             second[n] = values[n]
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _behind(values, highest, second, lead):
     for n in numba.prange(len(values)):
         lead[n] = (second[n] if values[n] == highest[n] else highest[n]) - values[n]

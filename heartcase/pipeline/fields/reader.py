@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.layout import ALL_FIELDS, BLOCK, FieldLayout, layout_of, varying_walls
@@ -420,7 +420,7 @@ def evaluate_owner(layout, tables, x, y, z, spare):
     return _between(lowest_tissue, lowest_void), labels[void_slot], labels[tissue_slot]
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_label):
     nz, ny, nx = tissue.shape
     fields, walls = lend(layout), lend(tables)
@@ -436,7 +436,7 @@ def _evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_la
                 tissue_label[k, j, i] = one[2]
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _evaluate_points(layout, tables, index, tissue, void_label, tissue_label):
     chunks = (len(index) + CHUNK - 1) // CHUNK
     fields, walls = lend(layout), lend(tables)

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Float32, Float64
 
 __all__ = ["diffuse", "mean_square_gradient"]
@@ -315,7 +315,7 @@ def _z_fluxes(out, here, up, start, nx, scale, work, pace):
     _through_faces(out, here[start:stop], up[start:stop], scale[2], x_here, x_up, y_here, y_up, pace)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _keep_edges(edges, planes):
     """Copy the first and the last plane of each slab: its neighbours need them after they are overwritten."""
     nz = planes.shape[0]
@@ -324,7 +324,7 @@ def _keep_edges(edges, planes):
         edges[1, slab] = planes[min((slab + 1) * _SLAB, nz) - 1]
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _step(planes, new, nx, scale, weight, edges, slope, pace):
     """One Jacobi step; ``planes`` and ``new``, maybe the same, hold a plane of rows of ``nx`` voxels in each row."""
     for slab in numba.prange(edges.shape[1]):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Float32
 
 __all__ = ["gradient_magnitude"]
@@ -119,7 +119,7 @@ def _blur_row(row, weights, reach, padded, out):
         t += 1
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _blur_rows(values, weights, reach, blurred):
     nz, ny, nx = values.shape
     for k in numba.prange(nz):
@@ -144,13 +144,13 @@ def _blur_sheet(rows, weights, reach, blurred):
             n += 1
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _blur_along_y(values, weights, reach, blurred):
     for k in numba.prange(values.shape[0]):
         _blur_sheet(values[k], weights, reach, blurred[k])
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _blur_along_z(values, weights, reach, blurred):
     nz, ny, nx = values.shape
     slices, blurred_slices = values.reshape(nz, ny * nx), blurred.reshape(nz, ny * nx)
@@ -179,7 +179,7 @@ def _row_lengths(row, ym, yp, zm, zp, hx, hy, hz, out):
         out[i] = np.sqrt(out[i])
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _slope_lengths(values, spacing, length):
     nz, ny, _ = values.shape
     half = np.float32(0.5)

@@ -20,7 +20,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.pipeline.image.gradient import gradient_magnitude
 from heartcase.schemas.arrays import Float32
 
@@ -72,7 +72,7 @@ def _of_flat(height: Float32) -> float:
     return float(np.quantile(sample, FLAT_QUANTILE)) if len(sample) else 0.0
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _add_shape(height, shape, most):
     for n in numba.prange(len(height)):
         part = shape[n] / most

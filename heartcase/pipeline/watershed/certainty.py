@@ -25,7 +25,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
@@ -204,7 +204,7 @@ def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):
     return other, rival
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _fill_voxels(chunks, landscape, marks, lowest_mark, foot_label, own, other, certainty):
     height, direction, basin, offsets = landscape
     for c in numba.prange(len(chunks) - 1):

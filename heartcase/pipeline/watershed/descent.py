@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
 
 __all__ = [
@@ -148,7 +148,7 @@ def _rows_around(height, wall, k, j):
     return zm, ym, yp, zp
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _directions(height, direction):
     nz, ny, nx = height.shape
     wall = np.full(nx, np.inf, np.float32)
@@ -197,7 +197,7 @@ def _row_ranks(row, zm, ym, yp, zp, out):
         out[last] = _count_lower(zm[last], ym[last], row[last - 1], wall, yp[last], zp[last])
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _ranks(height, ranks):
     nz, ny, nx = height.shape
     wall = np.full(nx, np.inf, np.float32)
@@ -249,7 +249,7 @@ def _root_counts(direction, chunks):
     return counts
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _number_roots(direction, chunks, first, basin, root):
     for c in numba.prange(len(chunks) - 1):
         number = first[c]

@@ -21,7 +21,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.marks import mark_below, own_key, reach
@@ -399,14 +399,14 @@ def _count_marked(marked, feet, voxel_lists, landscape, marks, count):
             count[mark if mark != UNMARKED else feet[m]] += 1
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _fill(chunks, place, by_place, by_basin):
     for c in numba.prange(len(chunks) - 1):
         for b in range(chunks[c], chunks[c + 1]):
             by_basin[b] = by_place[place[b]]
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _fill_labels(chunks, place, group, label, by_basin):
     for c in numba.prange(len(chunks) - 1):
         for b in range(chunks[c], chunks[c + 1]):

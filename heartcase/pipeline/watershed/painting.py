@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.marks import mark_below
 
@@ -91,7 +91,7 @@ def paint_rows(rows, direction, basin, offsets, marks, lowest_mark, foot_label, 
     return low, high
 
 
-@kernel(parallel=True)
+@loop_kernel
 def paint_boxes(low, high, table, direction, basin, offsets, marks, foot_label, labels, is_changed):
     """Label the voxels of boxes, from ``low`` to ``high`` - 1 (z, y, x); notes tiles in which that changed any."""
     _, ny, nx = labels.shape

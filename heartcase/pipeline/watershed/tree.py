@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.watershed.descent import (
     basins_of,
     neighbour_ranks,
@@ -260,7 +260,7 @@ def _lowest_of_each(low, high, key, pair, best):
         best[b] = min(best[b], key[e])
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _find_candidates(bits, basin, ranks, chunks, offsets, start, stop, key, pair, best):
     nz, ny, nx = bits.shape
     last = (nz - 1) * ny
@@ -333,7 +333,7 @@ def _contract_chunk(low, high, key, pair, mapping):
     return at
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _contract(start, stop, key, pair, mapping, best):
     """Number the components anew in the list of faces, drop those inside one, and find each one's lowest."""
     for c in numba.prange(len(stop)):

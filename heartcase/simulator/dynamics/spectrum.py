@@ -14,7 +14,7 @@ from math import ceil, log, sqrt
 import numpy as np
 from numba import prange
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.schemas.arrays import Float64, Int8, Int32, Int64
 from heartcase.simulator.forces.cell_stiffness import CellStiffness
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
@@ -104,7 +104,7 @@ def _springs_of_nodes(model: LatticeModel) -> tuple[Int64, Int32, Int8, Float64]
     return start, np.ascontiguousarray(other), direction, weight.astype(np.float64)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _stiffness_times(
     start: Int64,
     other: Int32,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.simulator.forces.cell_forces import MODES, mean_slopes, tissue_spread
 from heartcase.simulator.lattice.force_law import ForceLaw
@@ -105,14 +105,14 @@ def _stress(G: Float64, mu: float, lame: float) -> Float64:
     return P
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _stretch(corners: Int32, slopes: Float64, moved: Float64, gradient: Float64) -> None:
     """Write the gradient of each cell."""
     for cell in prange(len(corners)):
         gradient[cell] = _mean_gradient(_modes(corners, cell, moved), slopes[cell])
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _share(places: Int64, first: Int64, shared: Float64, gradient: Float64, law: Float64, node_stress: Float64) -> None:
     """Write the stress of the mean strain around each node."""
     for node in prange(len(node_stress)):
@@ -162,7 +162,7 @@ def _write_forces(
             at_corners[corner, axis] = total
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _resist(
     corners: Int32,
     scale: Float64,
@@ -221,7 +221,7 @@ def _exceed(slopes: Float64, spread: Float64, law: Float64, bound: float, result
                 break
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _gather(places: Int64, first: Int64, at_corners: Float64, inverse_root: Float64, product: Float64) -> None:
     for node in prange(len(first) - 1):
         for place in range(first[node], first[node + 1]):

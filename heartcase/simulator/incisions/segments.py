@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.simulator.incisions.triangle_tree import LEAF_TRIANGLES, TriangleTree
 
@@ -246,7 +246,7 @@ def _is_touched(p, q, radius, corners, boxes, leaf_start):
     return False
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _touched(starts, ends, radius, corners, boxes, leaf_start, touched):
     for number in prange(len(starts)):
         p = (starts[number, 0], starts[number, 1], starts[number, 2])
@@ -284,7 +284,7 @@ def _leans_free(p, towards, axis, fan, lean, length, radius, corners, boxes, lea
     return False
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _can_stand(tips, gates, fan, axis, lean, length, radius, corners, boxes, leaf_start, found):
     least_cosine = np.cos(lean)
     upward = (axis[0], axis[1], axis[2])
@@ -307,7 +307,7 @@ def _can_stand(tips, gates, fan, axis, lean, length, radius, corners, boxes, lea
                 break
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _nearest(starts, ends, corners, square, number):
     for one in prange(len(starts)):
         p = (starts[one, 0], starts[one, 1], starts[one, 2])

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.schemas.arrays import Float32, Float64, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS, lattice_keys
 
@@ -97,7 +97,7 @@ def _covariance_around(cells: Int32, tissue: Float64, moments: Float64) -> Float
     return result
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _spread_around(
     keys: Int64, along_j: int, along_k: int, tissue: Float64, moments: Float64, covariance: Float64
 ) -> None:

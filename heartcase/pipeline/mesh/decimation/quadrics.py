@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 
 __all__ = ["best_place", "edge_costs", "next_edge", "previous_edge", "vertex_quadrics", "vertices_between"]
 
@@ -177,7 +177,7 @@ def best_place(quadric, position, u, v, out):
     return max(cost, 0.0)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def edge_costs(position, tail, opposite, quadric, alive, cost):
     """Cost of joining each edge, at the lower of its half-edges; infinite at the other, and where it is gone."""
     for t in numba.prange(len(tail) // 3):

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
 from heartcase.pipeline.kernels.parallel import every_other
@@ -167,7 +167,7 @@ def fit_normal(layout, tables, m, here, normal, rings, reach, spare, work, there
     return fits
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _fit_points(layout, tables, m, points, normals, rings, reach, drawn, fitted, found):
     chunks = (len(points) + CHUNK - 1) // CHUNK
     fields, walls, wide_to_narrow = lend(layout), lend(tables), lend(rings)

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch, steps_through
 from heartcase.pipeline.mesh.extraction.marching_cubes_cases import cube_cases
@@ -180,7 +180,7 @@ def _fill_slab(fields, walls, start, step, reach, least, field, label, slab):
                     _fill_exact(fields, walls, start, step, least, field, label, k2, k3, j2, j3, i2, i3, spare)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _fill_blocks(layout, tables, start, step, reach, least, field, label):
     fields, walls = lend(layout), lend(tables)
     for slab in numba.prange((len(field) + BLOCK - 1) // BLOCK):
@@ -285,7 +285,7 @@ def _place_vertices_of_plane(fields, walls, start, step, tolerance, field, void,
                 n += 1
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _place_vertices(layout, tables, start, step, tolerance, field, void, vertex_start, index, label):
     fields, walls = lend(layout), lend(tables)
     for k in numba.prange(len(field)):
@@ -337,7 +337,7 @@ def _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangl
                 n += 1
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _fill_triangles(field, triangle_count, edges, vertex_start, triangle_start, triangles):
     for k in numba.prange(len(field) - 1):
         _fill_triangles_of_plane(field, triangle_count, edges, vertex_start, triangle_start, triangles, k)

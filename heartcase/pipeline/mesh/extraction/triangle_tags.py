@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
@@ -156,7 +156,7 @@ def _middle(vertices, triangle, centre, normal):
         normal[k] /= length
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, is_cut):
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):
         centre, normal = np.empty(3), np.empty(3)
@@ -165,7 +165,7 @@ def _find_cuts(to_lattice, direction, size, planes, near, vertices, triangles, i
             is_cut[t] = _is_cut(centre, normal, to_lattice, direction, size, planes, near)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _look(layout, tables, to_index, way, vertices, triangles, void, tissue):
     fields, walls = lend(layout), lend(tables)
     for chunk in numba.prange((len(triangles) + CHUNK - 1) // CHUNK):

@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.kernels.vectors import put
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
 from heartcase.schemas.arrays import Float64, Int32
@@ -263,7 +263,7 @@ def project(points: Float64, axes: Float64, chart: Int32) -> Float64:
     return flat
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _project(points, right, up, chart, flat):
     for n in numba.prange(len(points)):
         c = chart[n]

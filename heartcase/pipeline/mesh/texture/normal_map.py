@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.fields.reader import FieldReader, scratch
 from heartcase.pipeline.kernels.parallel import every_other, side_by_side
@@ -181,7 +181,7 @@ def _look_up(
     _look_up_rows(owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach_mm, given)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _look_up_rows(owner, texel, triangles, corners, vertices, normals, grid, facing, faces, fitted, reach, given):
     boxes = lend(grid)
     for row in numba.prange(owner.shape[0]):
@@ -338,7 +338,7 @@ def _between(known, start, parts, weights, out):
     return make_unit(out, 1e-3)
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _bake_rows(
     owner, texel, triangles, corners, vertices, normals, tangents, flat, parts, start, known, given, picture
 ):

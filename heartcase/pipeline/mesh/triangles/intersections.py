@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.mesh.triangles.triangle_grid import triangle_grid
 from heartcase.schemas.arrays import Bool, Float, Int32
@@ -156,7 +156,7 @@ def _cross_count(grid, low, high):
     return counts
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _cross_list(grid, low, high, begin, pairs):
     boxes = lend(grid)
     for t in numba.prange(len(low)):
@@ -210,7 +210,7 @@ def _cross_some_count(grid, corner, low, high, near, which):
     return counts
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _cross_some_list(grid, corner, low, high, near, which, begin, pairs):
     boxes = lend(grid)
     for n in numba.prange(len(near)):

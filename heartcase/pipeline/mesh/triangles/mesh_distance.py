@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.kernels.vectors import square_to_triangle
 from heartcase.pipeline.mesh.triangles.triangle_grid import TriangleGrid
@@ -92,7 +92,7 @@ def nearest_on_mesh(grid, x, y, z, facing, way, least, farthest):
     return found, best, best_v, best_w
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _query(points, grid, distance):
     none, boxes = np.empty((0, 3)), lend(grid)
     for p in numba.prange(len(points)):

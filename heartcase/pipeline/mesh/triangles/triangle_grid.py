@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Float, Float64, Int32, Int64
 
 __all__ = ["TriangleGrid", "triangle_grid"]
@@ -81,7 +81,7 @@ def _take_corners(vertices, triangles, corner):
     return low, high, widths
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _find_boxes(corner, origin, edge, size, first, last):
     for chunk in numba.prange((len(corner) + _CHUNK - 1) // _CHUNK):
         for t in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(corner))):

@@ -1,0 +1,174 @@
+"""Kernels whose loop several threads share: compiled once for a part of the loop, called for one part after the other.
+
+numba compiles such a kernel twice, as a whole and as its loop's body, and gives each thread a fixed share of it. Here
+the loop's bounds become those of a part, and threads take the next part when they are done with one. So compiling takes
+a third less, and a thread that is held up by something else holds up nobody.
+"""
+
+from __future__ import annotations
+import __future__
+
+import ast
+import inspect
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, cached_property, update_wrapper
+from types import FunctionType
+from typing import Any, cast
+
+import numba
+
+__all__ = ["PARTS_A_THREAD", "LoopKernel", "loop_part"]
+
+PARTS_A_THREAD = 4
+"""Parts of a loop for each thread: the last of them ends soon after the others."""
+_PART = """
+def part(part_, parts_):
+    begin_ = begin
+    length_ = end - begin_
+    for index in range(begin_ + length_ * part_ // parts_, begin_ + length_ * (part_ + 1) // parts_):
+        pass
+"""
+
+
+class LoopKernel:
+    """What a kernel with a loop is called by: it shares its loop out among this thread and others.
+
+    Parameters
+    ----------
+    function
+        Of a module. It only assigns names and then runs one loop over ``prange``, in which none of these is set.
+    make
+        Makes the kernel of one part, from :func:`loop_part`.
+    """
+
+    def __init__(self, function: Callable[..., Any], make: Callable[[Callable[..., Any]], Any]) -> None:
+        self.py_func = function
+        self._make = make
+        update_wrapper(self, function)
+
+    @cached_property
+    def of_part(self) -> Any:
+        """Numba's dispatcher of one part, which takes the part and the number of parts before all else."""
+        return self._make(loop_part(cast(FunctionType, self.py_func)))
+
+    @property
+    def overloads(self) -> dict[tuple[Any, ...], Any]:
+        """What is compiled, by the types of the arguments."""
+        if "of_part" not in self.__dict__:
+            return {}
+        return {types[2:]: found for types, found in self.of_part.overloads.items()}
+
+    def compile(self, types: tuple[Any, ...]) -> Any:
+        """Compile for some types of arguments, or load from the cache."""
+        return self.of_part.compile((numba.int64, numba.int64, *types))
+
+    def __call__(self, *arguments: Any, **named: Any) -> None:
+        """Work out the loop.
+
+        Raises
+        ------
+        Exception
+            What a part raised; by then no other one runs any more.
+        """
+        of_part, thread_count = self.of_part, numba.get_num_threads()
+        if thread_count < 2:
+            of_part(0, 1, *arguments, **named)
+            return
+        count = PARTS_A_THREAD * thread_count
+        # The interpreter's lock sees to it that each part is taken once.
+        parts = iter(range(count))
+
+        def work() -> None:
+            for part in parts:
+                of_part(part, count, *arguments, **named)
+
+        others = [_threads().submit(work) for _ in range(thread_count - 1)]
+        try:
+            work()
+        finally:
+            # After an error here the others end with the parts that they are at.
+            for _ in parts:
+                pass
+            # Threads that others keep busy are not waited for: what they would have done is done.
+            errors = [other.exception() for other in others if not other.cancel()]
+        for error in filter(None, errors):
+            raise error
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """The threads that help, for as long as the process lasts: as many as numba would use beside the caller's."""
+    return ThreadPoolExecutor(max(1, numba.config.NUMBA_NUM_THREADS - 1), "heartcase-loop")
+
+
+def loop_part(function: FunctionType) -> FunctionType:
+    """A function for one part of the loop of another one: which of how many are its first arguments.
+
+    Raises
+    ------
+    ValueError
+        The function is not as :class:`LoopKernel` wants it.
+    """
+    lines, first_line = inspect.getsourcelines(function)
+    tree = ast.parse("".join(lines))
+    definition = tree.body[0]
+    assert isinstance(definition, ast.FunctionDef)
+    loop = _loop_of(definition)
+    if loop is None or function.__closure__:
+        name = f"{function.__module__}.{function.__qualname__}"
+        raise ValueError(f"{name} is no loop_kernel: it does more than assign names and run one loop")
+    template = ast.parse(_PART).body[0]
+    assert isinstance(template, ast.FunctionDef)
+    set_begin, set_length, some = template.body
+    assert isinstance(set_begin, ast.Assign)
+    assert isinstance(set_length, ast.Assign)
+    assert isinstance(some, ast.For)
+    assert isinstance(loop.iter, ast.Call)
+    assert isinstance(set_length.value, ast.BinOp)
+    bounds = loop.iter.args
+    set_begin.value = bounds[0] if len(bounds) == 2 else ast.Constant(0)
+    set_length.value.left = bounds[-1]
+    # Errors name the lines of the function as it is written.
+    for node in [*ast.walk(set_begin), *ast.walk(set_length), *ast.walk(some.iter)]:
+        if isinstance(node, (ast.expr, ast.stmt)):
+            ast.copy_location(node, loop)
+    loop.iter = some.iter
+    definition.body[-1:] = [set_begin, set_length, loop]
+    definition.decorator_list = []
+    definition.args.args[:0] = template.args.args
+    ast.increment_lineno(tree, first_line - 1)
+    made: dict[str, Any] = {}
+    code = compile(tree, inspect.getfile(function), "exec", flags=_ANNOTATIONS, dont_inherit=True)
+    exec(code, function.__globals__, made)
+    part = made[function.__name__]
+    assert isinstance(part, FunctionType)
+    part.__defaults__, part.__doc__ = function.__defaults__, function.__doc__
+    return part
+
+
+_ANNOTATIONS = __future__.annotations.compiler_flag
+
+
+def _loop_of(definition: ast.FunctionDef) -> ast.For | None:
+    """The loop of a function that does nothing else but assign names before."""
+    *before, loop = definition.body
+    if before and isinstance(before[0], ast.Expr) and isinstance(before[0].value, ast.Constant):
+        before = before[1:]
+    loops = [node for node in ast.walk(definition) if isinstance(node, ast.Call) and _is_prange(node.func)]
+    if not isinstance(loop, ast.For) or loop.orelse or [loop.iter] != loops or len(loops[0].args) > 2:
+        return None
+    is_plain = all(isinstance(one, ast.Assign) for one in before)
+    returns = any(isinstance(node, (ast.Return, ast.Yield, ast.YieldFrom)) for node in ast.walk(definition))
+    if not is_plain or returns or _names_set(before) & _names_set([loop]):
+        return None
+    return loop
+
+
+def _is_prange(called: ast.expr) -> bool:
+    return (called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")) == "prange"
+
+
+def _names_set(statements: list[ast.stmt]) -> set[str]:
+    nodes = [node for one in statements for node in ast.walk(one)]
+    return {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
