@@ -1,7 +1,7 @@
 """The command ``heartcase build`` as a user meets it: the first time with nothing compiled, and with all compiled.
 
-Each run is a process of its own. In a first one, numba's cache is an empty folder, and the scan is there already. The
-peer compiles every kernel when it is called, in the one process.
+Each run is a process of its own. In a first one, numba's cache is an empty folder, Python has compiled no source of ours,
+and the scan is there already. The peer compiles every kernel when it is called, in the one process.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _build(inputs: Inputs, before: str) -> Output:
     start, seconds_to_case = time.perf_counter(), float("nan")
     process = subprocess.Popen(
         [sys.executable, "-c", before + _COMMAND, *arguments],
-        env=os.environ | {"NUMBA_CACHE_DIR": str(inputs.cache)},
+        env=_environment(inputs.cache),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -91,6 +91,12 @@ def _build(inputs: Inputs, before: str) -> Output:
         time.sleep(0.02)
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     return Output(process.returncode, time.perf_counter() - start, seconds_to_case, load)
+
+
+def _environment(cache: Path) -> dict[str, str]:
+    """This one's, with a numba cache of its own; Python keeps what it made of the sources there, as it does for users."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPYCACHEPREFIX": str(cache / "python")}
 
 
 def errors(inputs: Inputs, output: Output) -> dict[str, float]:

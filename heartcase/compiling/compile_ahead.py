@@ -87,8 +87,8 @@ def compiled_ahead(
     """Compile kernels in other processes while the body runs; they are ended with it, however it ends.
 
     What was compiled before, from this code for this processor, is noted in the cache and left out; where nothing is
-    left, no process is started. A process that cannot be started, or fails, is done without: what it would have
-    compiled is compiled when it is called.
+    left, no process is started, and a thread loads the kernels before they are called. A process that cannot be
+    started, or fails, is done without: what it would have compiled is compiled when it is called.
 
     Parameters
     ----------
@@ -108,7 +108,8 @@ def compiled_ahead(
     noted = _read(note)
     left = [(one, line) for one, line in zip(wanted, _lines_of(wanted), strict=True) if line not in noted]
     if not left:
-        yield
+        with _loaded_ahead(wanted):
+            yield
         return
     with _temporary_folder(note.parent) as unfinished:
         team = _ProcessTeam([one for one, _ in left], processes, told, unfinished, is_behind=is_behind)
@@ -118,6 +119,34 @@ def compiled_ahead(
         finally:
             team.end()
             _add(note, [line for one, line in left if one in team.done])
+
+
+@contextlib.contextmanager
+def _loaded_ahead(wanted: Sequence[Called]) -> Iterator[None]:
+    """Load kernels from the cache in a thread while the body runs, which often leaves a core free."""
+    ended = threading.Event()
+
+    def load() -> None:
+        for one in wanted:
+            if ended.is_set():
+                return
+            with contextlib.suppress(Exception):  # who calls the kernel is told of it
+                _compile(one.module, one.name, one.types)
+
+    thread = threading.Thread(target=load, name="heartcase-load", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _compile(module: str, name: str, types: Sequence[Any]) -> None:
+    """Compile a kernel, or load it from the cache."""
+    from heartcase.compiling.signatures import from_json
+
+    getattr(importlib.import_module(module), name).compile(tuple(from_json(one) for one in types))
 
 
 @contextlib.contextmanager
@@ -271,7 +300,6 @@ def serve(unfinished: str, niceness: int = 0) -> None:
     if niceness and hasattr(os, "nice"):
         os.nice(niceness)
     from heartcase.compiling.kernel import write_unfinished_to
-    from heartcase.compiling.signatures import from_json
 
     write_unfinished_to(unfinished)
 
@@ -280,8 +308,7 @@ def serve(unfinished: str, niceness: int = 0) -> None:
     for line in sys.stdin:
         request = json.loads(line)
         try:
-            kernel = getattr(importlib.import_module(request["module"]), request["name"])
-            kernel.compile(tuple(from_json(one) for one in request["types"]))
+            _compile(request["module"], request["name"], request["types"])
             answer = "done"
         except Exception:  # of whatever kind: who calls the kernel is told of it
             answer = "failed"

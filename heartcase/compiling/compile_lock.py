@@ -26,7 +26,7 @@ _held: set[str] = set()
 
 
 def compiled_by_one(
-    compile_it: Callable[[Any], Any], is_known: Callable[[Any], bool], path: str
+    compile_it: Callable[[Any], Any], is_known: Callable[[Any], bool], path: Callable[[], str]
 ) -> Callable[[Any], Any]:
     """Compile a kernel while no other process does.
 
@@ -37,7 +37,7 @@ def compiled_by_one(
     is_known
         Whether that is done for a signature in this process.
     path
-        Of the lock file, beside the kernel's files in the cache.
+        Gives that of the lock file, beside the kernel's files in the cache; called before the first is compiled.
     """
 
     def compile_alone(signature: Any) -> Any:
@@ -45,7 +45,7 @@ def compiled_by_one(
         with global_compiler_lock:
             if is_known(signature):
                 return compile_it(signature)
-            with _lock_of(path), _no_collection():
+            with _lock_of(path()), _no_collection():
                 return compile_it(signature)
 
     return compile_alone

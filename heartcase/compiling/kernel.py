@@ -72,8 +72,13 @@ def _compiled(function: Callable[..., Any], *, cached: bool, options: dict[str, 
     # Nobody calls a kernel by its address: the wrapper for that need not be compiled.
     dispatcher: Any = numba.njit(**{"nogil": True, "no_cfunc_wrapper": True} | options)(function)
     if cached:
-        dispatcher._cache = _KernelCache(function)
-        lock = os.path.join(dispatcher._cache.cache_path, f"{dispatcher._cache._impl.filename_base}.lock")
+
+        def lock() -> str:
+            # Made for the kernels that are called alone: for all at import it would take a fifth of a second.
+            if not isinstance(dispatcher._cache, _KernelCache):
+                dispatcher._cache = _KernelCache(function)
+            return os.path.join(dispatcher._cache.cache_path, f"{dispatcher._cache._impl.filename_base}.lock")
+
         dispatcher.compile = compiled_by_one(dispatcher.compile, dispatcher.overloads.__contains__, lock)
     return dispatcher
 

@@ -7,6 +7,7 @@ the stamp of a kernel covers every module that its own one reaches through impor
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from functools import cache
 from importlib.util import resolve_name
@@ -79,10 +80,10 @@ def imported_modules(source: str, module: str) -> tuple[str, ...]:
 
 @cache
 def _file_of(name: str) -> Path | None:
-    place = _ROOT.joinpath(*name.split(".")[1:])
-    for file in (place.with_suffix(".py"), place / "__init__.py"):
-        if file.is_file():
-            return file
+    place = os.path.join(_ROOT, *name.split(".")[1:])
+    for file in (f"{place}.py", os.path.join(place, "__init__.py")):
+        if os.path.isfile(file):
+            return Path(file)
     return None
 
 

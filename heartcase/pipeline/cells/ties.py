@@ -27,7 +27,8 @@ from heartcase.pipeline.cells.ways import (
     searched,
 )
 from heartcase.pipeline.data import Surface
-from heartcase.pipeline.fields.reader import FieldReader, scratch
+from heartcase.pipeline.fields.point_kernels import scratch
+from heartcase.pipeline.fields.reader import FieldReader
 from heartcase.pipeline.kernels.parallel import every_other
 from heartcase.pipeline.kernels.vectors import dot, put, square_to_triangle
 from heartcase.schemas.arrays import Float32, Float64, Int32, Int64

@@ -13,7 +13,8 @@ import numpy as np
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.fields.layout import FieldLayout
-from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, steps_through
+from heartcase.pipeline.fields.point_kernels import evaluate_owner
+from heartcase.pipeline.fields.reader import FieldReader, steps_through
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays
 from heartcase.pipeline.kernels.vectors import dot
 from heartcase.schemas.arrays import Float64, Int64

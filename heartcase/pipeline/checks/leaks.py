@@ -17,7 +17,8 @@ from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.compartments import Change, compartment_changes
 from heartcase.pipeline.fields.contacts import Contact, Extent, faces_between, without_tissue
-from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, ownership_on_lattice, scratch, steps_through
+from heartcase.pipeline.fields.point_kernels import evaluate_owner, scratch
+from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice, steps_through
 from heartcase.pipeline.fields.wall_thickness import thickness_at_points
 from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.warning_words import sentence

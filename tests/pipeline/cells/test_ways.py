@@ -14,7 +14,8 @@ from heartcase.pipeline.cells.ways import (
     looks_elsewhere,
     searched,
 )
-from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points, scratch
+from heartcase.pipeline.fields.point_kernels import scratch
+from heartcase.pipeline.fields.reader import FieldReader, ownership_at_points
 from heartcase.schemas.geometry import Geometry
 from tests.pipeline.analytic_structures import (
     LEFT,

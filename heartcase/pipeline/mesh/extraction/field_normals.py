@@ -19,7 +19,8 @@ import numpy as np
 from heartcase.compiling.calls import called
 from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
-from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
+from heartcase.pipeline.fields.point_kernels import evaluate_owner, scratch
+from heartcase.pipeline.fields.reader import FieldReader
 from heartcase.pipeline.kernels.parallel import every_other
 from heartcase.pipeline.kernels.vectors import cross, make_unit, put
 from heartcase.schemas.arrays import Bool, Float64

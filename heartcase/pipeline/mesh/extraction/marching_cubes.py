@@ -15,7 +15,8 @@ import numpy as np
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
-from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch, steps_through
+from heartcase.pipeline.fields.point_kernels import evaluate_owner, scratch
+from heartcase.pipeline.fields.reader import FieldReader, steps_through
 from heartcase.pipeline.mesh.extraction.marching_cubes_cases import cube_cases
 from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.schemas.geometry import Geometry

@@ -11,7 +11,8 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.fields.reader import FieldReader, evaluate_owner, scratch
+from heartcase.pipeline.fields.point_kernels import evaluate_owner, scratch
+from heartcase.pipeline.fields.reader import FieldReader
 from heartcase.pipeline.mesh.extraction.extract import FullMesh
 from heartcase.pipeline.mesh.triangles.half_edges import connected_parts, opposites
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64, UInt8

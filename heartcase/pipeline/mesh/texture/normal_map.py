@@ -14,7 +14,8 @@ import numpy as np
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
-from heartcase.pipeline.fields.reader import FieldReader, scratch
+from heartcase.pipeline.fields.point_kernels import scratch
+from heartcase.pipeline.fields.reader import FieldReader
 from heartcase.pipeline.kernels.parallel import every_other, side_by_side
 from heartcase.pipeline.kernels.vectors import cross, dot, make_unit, put
 from heartcase.pipeline.mesh.extraction.field_normals import fit_normal, fitted_normals, rings_of, to_index_matrix

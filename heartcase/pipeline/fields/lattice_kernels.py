@@ -1,0 +1,200 @@
+"""Kernels that read the structures at every point of a lattice, row by row.
+
+Which of several fields is lowest is hard to foresee, so a processor that works out one point after the other waits at
+nearly every comparison. Here each field in turn is compared at all points of a row, which takes a quarter of the time.
+Blocks in which walls vary, or that a reshaping or a septum reaches, are read point by point.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from heartcase.compiling.calls import called, copied
+from heartcase.compiling.kernel import loop_kernel
+from heartcase.compiling.tuple_addresses import lend
+from heartcase.pipeline.fields.layout import ALL_FIELDS, BLOCK
+from heartcase.pipeline.fields.point_kernels import between, evaluate_owner, place, scratch
+from heartcase.pipeline.fields.shapes import shape_distance
+
+__all__ = ["evaluate_lattice"]
+
+
+@called
+def _places_along(start, step, voxel_count, low, high, share):
+    """Write the two voxels around each point along x, and the second one's weight."""
+    for n in range(len(low)):
+        low[n], high[n], share[n] = place(start + n * step, voxel_count)
+
+
+@called
+def _interpolated_row(layout, y, z, voxels, fields):
+    """Write the stored fields between the rows of voxels around (y, z): by voxel, then by field."""
+    nz, ny, nx, stored = layout.stack.shape
+    j, j1, fy = place(y, ny)
+    k, k1, fz = place(z, nz)
+    one = np.float32(1.0)
+    w00 = (one - fz) * (one - fy)
+    w01 = (one - fz) * fy
+    w10 = fz * (one - fy)
+    w11 = fz * fy
+    flat, length = layout.stack.reshape(-1), nx * stored
+    a, b = (k * ny + j) * length, (k * ny + j1) * length
+    c, d = (k1 * ny + j) * length, (k1 * ny + j1) * length
+    row_a, row_b, row_c, row_d = flat[a : a + length], flat[b : b + length], flat[c : c + length], flat[d : d + length]
+    for n in range(length):
+        voxels[n] = row_a[n] * w00 + row_b[n] * w01 + row_c[n] * w10 + row_d[n] * w11
+    for s in range(stored):
+        field = fields[s]
+        for i in range(nx):
+            field[i] = voxels[i * stored + s]
+
+
+@called
+def _lowest_in_row(layout, matters, fields, low, high, share, state, slots):
+    """Write the lowest tissue, void and cavity (void but the background) at each point of a row, and two slots.
+
+    Of the fields that matter there. ``state`` is room for six numbers a point, the first three are the result;
+    ``slots`` for three, the first two are that of the tissue and of the void.
+    """
+    count = len(low)
+    tissue, void, cavity, bare, nearest, inside = state[0], state[1], state[2], state[3], state[4], state[5]
+    tissue_slot, void_slot, winner = slots[0], slots[1], slots[2]
+    infinite, nil = np.float32(np.inf), np.float32(0.0)
+    state[:] = infinite
+    slots[:] = -1
+    for f in range(len(matters)):
+        if not matters[f]:
+            continue
+        field, slot = fields[f], np.int32(layout.stored_slot[f])
+        if slot == layout.background:
+            for n in range(count):
+                first = field[low[n]]
+                bare[n] = first + share[n] * (field[high[n]] - first)
+            continue
+        wall = layout.stored_wall[f]
+        if slot < layout.tissue_count:
+            _compared(field, low, high, share, slot, tissue, tissue_slot)
+        elif wall < 0:
+            _compared(field, low, high, share, slot, cavity, void_slot)
+        else:
+            thickness = layout.wall_mm[wall]
+            for n in range(count):
+                first = field[low[n]]
+                value = first + share[n] * (field[high[n]] - first)
+                is_lower = value < cavity[n]
+                void_slot[n] = slot if is_lower else void_slot[n]
+                cavity[n] = value if is_lower else cavity[n]
+                # as in point_kernels
+                body, deepest, least = value - thickness, inside[n], nearest[n]
+                is_deepest = (body < nil) & (value < deepest)
+                is_nearest = (body >= nil) & (deepest == infinite) & (body < least)
+                winner[n] = np.int32(wall) if is_deepest | is_nearest else winner[n]
+                inside[n] = value if is_deepest else deepest
+                nearest[n] = body if body < least else least
+    for n in range(count):
+        if winner[n] >= 0:
+            wall_field = max(nearest[n], bare[n])
+            if wall_field <= tissue[n]:
+                tissue[n] = wall_field
+                tissue_slot[n] = layout.wall_slot[winner[n]]
+            bare[n] = max(bare[n], -nearest[n])
+        is_bare = bare[n] <= cavity[n]
+        void[n] = bare[n] if is_bare else cavity[n]
+        void_slot[n] = layout.background if is_bare else void_slot[n]
+
+
+@copied
+def _compared(field, low, high, share, slot, lowest, lowest_slot):
+    """Take one field at all points of a row where it is lower than those before."""
+    for n in range(len(low)):
+        first = field[low[n]]
+        value = first + share[n] * (field[high[n]] - first)
+        is_lower = value < lowest[n]
+        lowest_slot[n] = slot if is_lower else lowest_slot[n]
+        lowest[n] = value if is_lower else lowest[n]
+
+
+@called
+def _fields_of_row(layout, has_others, j, k, blocks, matters):
+    """Write which fields matter in the blocks of a row of voxels; says whether all points are read one by one."""
+    matters[:] = False
+    is_alone = True
+    for b in range(len(blocks)):
+        count = layout.block_count[k // BLOCK, j // BLOCK, blocks[b]]
+        if count != ALL_FIELDS:
+            is_alone = False
+            for n in range(count):
+                matters[layout.block_fields[k // BLOCK, j // BLOCK, blocks[b], n]] = True
+        elif not has_others:
+            is_alone = False
+            matters[:] = True
+    return is_alone
+
+
+@called
+def _may_change(layout, x, y, z, tissue, void, cavity):
+    """Whether a reshaping may change the lowest tissue and void at a point, given by its index, or how low they are.
+
+    ``cavity`` is the lowest void but the background. A reshaping makes no field that it gives to lower than it is far,
+    and raises only fields that are deeper than it is far.
+    """
+    m = layout.to_world
+    for n in range(len(layout.shape_kind)):
+        if x < layout.shape_low[n, 0] or y < layout.shape_low[n, 1] or z < layout.shape_low[n, 2]:
+            continue
+        if x > layout.shape_high[n, 0] or y > layout.shape_high[n, 1] or z > layout.shape_high[n, 2]:
+            continue
+        wx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+        wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+        wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        points = layout.shape_points[layout.shape_first[n] : layout.shape_first[n + 1]]
+        shape = np.float32(shape_distance(layout.shape_kind[n], points, layout.shape_radius[n], wx, wy, wz))
+        most, least = void, min(tissue, cavity)
+        for s in range(len(layout.labels)):
+            if layout.target[n, s] and s != layout.background:
+                most, least = max(tissue, void), min(tissue, void)
+        if shape <= most or shape < -least:
+            return True
+    return False
+
+
+@loop_kernel
+def evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_label):
+    """Write tissue field, void label and tissue label at every point of a lattice.
+
+    Layout and tables are those of a reader; ``start`` is the index of the first point among the voxels, ``step`` the
+    way to the next along x, y and z, in voxels; what is written has shape (nz, ny, nx).
+    """
+    nz, ny, nx = tissue.shape
+    structures, walls = lend(layout), lend(tables)
+    for k in numba.prange(nz):
+        sz, sy, sx, stored = structures.stack.shape
+        low, high, share = np.empty(nx, np.int32), np.empty(nx, np.int32), np.empty(nx, np.float32)
+        _places_along(start[0], step[0], sx, low, high, share)
+        blocks = np.unique(low // BLOCK)
+        voxels, fields = np.empty(sx * stored, np.float32), np.empty((stored, sx), np.float32)
+        state, slots = np.empty((6, nx), np.float32), np.empty((3, nx), np.int32)
+        matters, spare = np.empty(stored, np.bool_), scratch(structures)
+        has_others = len(structures.septum_slot) + len(walls.wall) > 0
+        z = start[2] + k * step[2]
+        voxel_k = place(z, sz)[0]
+        for j in range(ny):
+            y = start[1] + j * step[1]
+            voxel_j = place(y, sy)[0]
+            is_alone = _fields_of_row(structures, has_others, voxel_j, voxel_k, blocks, matters)
+            if not is_alone:
+                _interpolated_row(structures, y, z, voxels, fields)
+                _lowest_in_row(structures, matters, fields, low, high, share, state, slots)
+            for i in range(nx):
+                x = start[0] + i * step[0]
+                by_itself = structures.block_count[voxel_k // BLOCK, voxel_j // BLOCK, low[i] // BLOCK] == ALL_FIELDS
+                if by_itself and not has_others:
+                    by_itself = _may_change(structures, x, y, z, state[0, i], state[1, i], state[2, i])
+                if by_itself:
+                    one = evaluate_owner(structures, walls, x, y, z, spare)
+                    tissue[k, j, i], void_label[k, j, i], tissue_label[k, j, i] = one
+                else:
+                    tissue[k, j, i] = between(state[0, i], state[1, i])
+                    void_label[k, j, i] = structures.labels[slots[1, i]]
+                    tissue_label[k, j, i] = structures.labels[slots[0, i]]
