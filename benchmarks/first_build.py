@@ -1,7 +1,7 @@
 """The command ``heartcase build`` as a user meets it: the first time with nothing compiled, and with all compiled.
 
-Each run is a process of its own. In a first one, numba's cache is an empty folder, Python has compiled no source of ours,
-and the scan is there already. The peer compiles every kernel when it is called, in the one process.
+Each run is a process of its own. In a first one, numba's cache is an empty folder, Python has read no source of ours
+before, and the scan is there already. The peer compiles every kernel when it is called, in the one process.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def _build(inputs: Inputs, before: str) -> Output:
 
 
 def _environment(cache: Path) -> dict[str, str]:
-    """This one's, with a numba cache of its own; Python keeps what it made of the sources there, as it does for users."""
+    """Variables of this process, with a cache of numba's; Python keeps its own there, as it does for users."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return kept | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPYCACHEPREFIX": str(cache / "python")}
 
