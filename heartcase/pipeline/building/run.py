@@ -180,7 +180,7 @@ def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:
     outputs = work.outputs
     return build_report(
         ReportInputs(
-            sureness=_sureness(work),
+            sureness=lambda: _sureness(work),
             recipe=work.recipe,
             rules=work.rules,
             scan=have(outputs.scan).get(),

@@ -6,7 +6,7 @@ here, never a path or a file name.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -250,8 +250,8 @@ class ReportInputs:
     """Where cavities are open to each other, the worst first."""
     septa: Sequence[Mapping[str, Any]] = ()
     """The septa that were grown, judged: :func:`heartcase.pipeline.walls.grown_places.judged_places`."""
-    sureness: Sureness | None = None
-    """How sure the segmentation is; None where it was not made by watershed."""
+    sureness: Callable[[], Sureness | None] = lambda: None
+    """Works out how sure the segmentation is, beside the views of the surface; None where it was not made by watershed."""
     rules: SettingRules | None = None
     """What the settings are where a recipe leaves them to this scan; found anew when left out."""
 
@@ -290,7 +290,8 @@ def build_report(inputs: ReportInputs) -> str:
     septa_mm = {one.value: one.thickness_mm for one in structures.grown_septa}
 
     def slices() -> tuple[list[Picture], ConfidencePart | None, EndsPart | None]:
-        sure = confidence_part(scan, segmentation, inputs.sureness) if inputs.sureness is not None else None
+        sureness = inputs.sureness()
+        sure = confidence_part(scan, segmentation, sureness) if sureness is not None else None
         return slice_parts(scan, segmentation, structures), sure, ends_part(scan, structures)
 
     (slice_rows, confidence, ends), shown = side_by_side(

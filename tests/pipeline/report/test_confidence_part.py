@@ -95,7 +95,7 @@ def page(heart, one):
             timings_s={},
             stages=[],
             warnings=[],
-            sureness=one,
+            sureness=lambda: one,
         )
     )
 
