@@ -51,7 +51,9 @@ def triangle_grid(vertices_mm: Float, triangles: Int32) -> TriangleGrid:
     """
     vertices = np.ascontiguousarray(vertices_mm, np.float64)
     corner = np.empty((len(triangles), 3, 3))
-    low, high, widths = _take_corners(vertices, triangles, corner)
+    chunks = -(-len(triangles) // _CHUNK)
+    low, high, widths = np.full((chunks, 3), np.inf), np.full((chunks, 3), -np.inf), np.zeros(chunks)
+    _take_corners(vertices, triangles, corner, low, high, widths)
     origin, extent = low.min(axis=0), high.max(axis=0) - low.min(axis=0)
     edge = max(_EDGES_PER_BOX * float(widths.sum()) / len(triangles), 1e-9 * float(extent.max()), 1e-12)
     edge = max(edge, float(np.cbrt((extent + edge).prod() / _BOX_COUNT)))
@@ -61,12 +63,13 @@ def triangle_grid(vertices_mm: Float, triangles: Int32) -> TriangleGrid:
     return TriangleGrid(corner, origin, edge, size, first, last, *_fill(first, last, size))
 
 
-@kernel(parallel=True)
-def _take_corners(vertices, triangles, corner):
-    """Corners of all triangles; lowest and highest place, and sum of the triangles' widths, of each chunk of them."""
-    chunks = (len(triangles) + _CHUNK - 1) // _CHUNK
-    low, high, widths = np.full((chunks, 3), np.inf), np.full((chunks, 3), -np.inf), np.zeros(chunks)
-    for chunk in numba.prange(chunks):
+@loop_kernel
+def _take_corners(vertices, triangles, corner, low, high, widths):
+    """Corners of all triangles; lowest and highest place, and sum of the triangles' widths, of each chunk of them.
+
+    ``low``, ``high`` and ``widths`` hold infinity, its negative and 0.
+    """
+    for chunk in numba.prange(len(widths)):
         for t in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(triangles))):
             width = 0.0
             for axis in range(3):
@@ -78,7 +81,6 @@ def _take_corners(vertices, triangles, corner):
                 low[chunk, axis], high[chunk, axis] = min(low[chunk, axis], least), max(high[chunk, axis], most)
                 width = max(width, most - least)
             widths[chunk] += width
-    return low, high, widths
 
 
 @loop_kernel
