@@ -168,7 +168,7 @@ def _renumber(pieces, numbers):
 def _overlaps(before: UInt32, after: UInt32, factor: int) -> Any:
     """Common fine voxels of each piece before (row) and after (column), a sparse array."""
     shape = (int(before.max()) + 1, int(after.max()) + 1)
-    found = np.zeros(len(after), np.int64)
+    found = np.empty(len(after), np.int64)
     _count_runs(before, after, factor, found)
     start = np.concatenate([[0], np.cumsum(found)])
     rows, columns, counts = (np.empty(int(start[-1]), kind) for kind in (np.uint32, np.uint32, np.int64))
@@ -199,11 +199,13 @@ def _runs_of(coarse, fine, factor, at, rows, columns, counts):
 
 @loop_kernel
 def _count_runs(before, after, factor, found):
-    """Count the runs in each fine plane in ``found``, which holds 0."""
+    """Count the runs in each fine plane."""
     for k in numba.prange(len(after)):
         none, no_count = np.empty(0, np.uint32), np.empty(0, np.int64)
+        count = 0
         for j in range(after.shape[1]):
-            found[k] = _runs_of(before[k // factor, j // factor], after[k, j], factor, found[k], none, none, no_count)
+            count = _runs_of(before[k // factor, j // factor], after[k, j], factor, count, none, none, no_count)
+        found[k] = count
 
 
 @loop_kernel

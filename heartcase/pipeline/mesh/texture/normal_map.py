@@ -425,7 +425,7 @@ def _rasterise(uv, triangles, owner):
 
 def _first_edge(filled: Bool) -> Int32:
     """Unfilled texels beside filled ones, row by row: (row, column), shape (n, 2)."""
-    counts = np.zeros(len(filled), np.int64)
+    counts = np.empty(len(filled), np.int64)
     _count_edge(filled, counts)
     begin = np.concatenate([[0], np.cumsum(counts)])
     edge = np.empty((int(begin[-1]), 2), np.int32)
@@ -435,12 +435,14 @@ def _first_edge(filled: Bool) -> Int32:
 
 @loop_kernel
 def _count_edge(filled, counts):
-    """Count the unfilled texels beside filled ones of each row in ``counts``, which holds 0."""
+    """Count the unfilled texels beside filled ones of each row."""
     rows, columns = filled.shape
     for j in numba.prange(rows):
+        count = 0
         for i in range(columns):
             if not filled[j, i] and _is_beside(filled, j, i):
-                counts[j] += 1
+                count += 1
+        counts[j] = count
 
 
 @loop_kernel
