@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from tests.structure.test_rooms import PACKAGE, modules
 
-DECORATORS = {"kernel", "copied", "called", "compiled", "intrinsic", "cuda.jit", "_inlined"}
+DECORATORS = {"kernel", "loop_kernel", "copied", "called", "compiled", "intrinsic", "cuda.jit", "_inlined"}
 """Of functions that numba compiles, and so finds the types of."""
 
 

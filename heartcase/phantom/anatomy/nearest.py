@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Float64, Int64
 
 __all__ = ["SampleTree"]
@@ -66,7 +66,8 @@ class SampleTree:
         Of samples at the same distance it is the first in Morton order.
         """
         points = np.ascontiguousarray(points, dtype=float)
-        distance, index = _query(self.samples, self.boxes, self.level_start, points)
+        distance, index = np.empty(len(points)), np.empty(len(points), np.int64)
+        _query(self.samples, self.boxes, self.level_start, points, distance, index)
         return distance, self.order[index]
 
 
@@ -167,12 +168,10 @@ def _query_part(samples, boxes, level_start, points, distance, index, start, sto
         index[n] = near
 
 
-@kernel(parallel=True)
-def _query(samples, boxes, level_start, points):
+@loop_kernel
+def _query(samples, boxes, level_start, points, distance, index):
+    """Find the distance to the nearest sample and its place in Morton order."""
     count = points.shape[0]
-    distance = np.empty(count)
-    index = np.empty(count, np.int64)
     for part in numba.prange((count + _PART - 1) // _PART):
         stop = min(count, (part + 1) * _PART)
         _query_part(samples, boxes, level_start, points, distance, index, part * _PART, stop)
-    return distance, index

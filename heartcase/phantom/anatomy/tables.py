@@ -19,7 +19,7 @@ import numba
 import numpy as np
 from scipy import ndimage
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.phantom.anatomy.nearest import SampleTree
 from heartcase.phantom.anatomy.shapes import Offset, Shape, complement
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int64
@@ -350,17 +350,23 @@ def _derivatives_part(coefficients, size, origin, spacing, points, value, gradie
         hessian[n, 2, 1] = hessian[n, 1, 2]
 
 
-@kernel(parallel=True)
-def _derivatives(coefficients, size, origin, spacing, points):
+def _derivatives(
+    coefficients: Float32, size: Int64, origin: Float64, spacing: float, points: Float64
+) -> tuple[Float64, Float64, Float64]:
     """Value (n,), gradient (n, 3) and Hessian (n, 3, 3) of one spline at points inside its lattice."""
+    count = len(points)
+    value, gradient, hessian = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    _add_derivatives(coefficients, size, origin, spacing, points, value, gradient, hessian)
+    return value, gradient, hessian
+
+
+@loop_kernel
+def _add_derivatives(coefficients, size, origin, spacing, points, value, gradient, hessian):
+    """Add them to arrays that hold 0."""
     count = points.shape[0]
-    value = np.zeros(count)
-    gradient = np.zeros((count, 3))
-    hessian = np.zeros((count, 3, 3))
     for part in numba.prange((count + _PART - 1) // _PART):
         stop = min(count, (part + 1) * _PART)
         _derivatives_part(coefficients, size, origin, spacing, points, value, gradient, hessian, part * _PART, stop)
-    return value, gradient, hessian
 
 
 @kernel

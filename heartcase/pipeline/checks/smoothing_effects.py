@@ -8,7 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.pipeline.checks.lumens import narrowest_lumens
 from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy
@@ -82,22 +82,24 @@ def smoothing_effects(
 
 def volume_voxels(distance: Float32, width_mm: float) -> float:
     """Volume inside a field in voxels, from 27 points in each voxel within two widths of its face."""
-    return float(_inside(np.ascontiguousarray(distance, np.float32), np.float32(2.0 * width_mm)).sum()) / 27.0
+    found = np.empty(len(distance), np.int64)
+    _count_inside(np.ascontiguousarray(distance, np.float32), np.float32(2.0 * width_mm), found)
+    return float(found.sum()) / 27.0
 
 
-@kernel(parallel=True)
-def _inside(distance, near):
-    """Points of each plane that are inside, of 27 in each voxel; the border's values go on beyond it."""
+@loop_kernel
+def _count_inside(distance, near, found):
+    """Count the points of each plane that are inside, of 27 in each voxel; the border's values go on beyond it."""
     nz, ny, nx = distance.shape
-    found = np.zeros(nz, np.int64)
     for k in numba.prange(nz):
+        count = 0
         for j in range(ny):
             for i in range(nx):
                 value = distance[k, j, i]
                 if value >= near:
                     continue
                 if value <= -near:
-                    found[k] += 27
+                    count += 27
                     continue
                 for dk in range(-1, 2):
                     kk = min(max(k + dk, 0), nz - 1)
@@ -113,5 +115,5 @@ def _inside(distance, near):
                             high = (1.0 - c) * distance[kk, jj, i] + c * distance[kk, jj, ii]
                             back = (1.0 - b) * low + b * high
                             if (1.0 - a) * front + a * back < 0.0:
-                                found[k] += 1
-    return found
+                                count += 1
+        found[k] = count

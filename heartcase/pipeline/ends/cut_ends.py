@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from scipy.ndimage import binary_dilation, map_coordinates
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.pipeline.data import Reshaping, Segmentation, VesselEnd
 from heartcase.pipeline.ends.discs import Disc, Sides, Stumps, disc_of, end_marker, meets, sides_of
 from heartcase.pipeline.ends.find_ends import FoundEnds, find_ends
@@ -301,16 +301,17 @@ def _areas(lumen: Bool, disc: Disc) -> tuple[Float64, Float64, Float64]:
     ends = disc.geometry.world_to_index(np.stack([disc.position, disc.position + disc.axis]))
     index = (disc.geometry.world_to_index(flat) - corner)[:, ::-1]
     way = (ends[1] - ends[0])[::-1]
-    inside, inside_rim = _count_inside(np.ascontiguousarray(lumen), np.ascontiguousarray(index), way, places, is_rim)
-    return places, step * step * inside, inside_rim / np.count_nonzero(is_rim)
+    inside, inside_rim = np.empty(len(places), np.int64), np.empty(len(places), np.int64)
+    _count_inside(np.ascontiguousarray(lumen), np.ascontiguousarray(index), way, places, is_rim, inside, inside_rim)
+    return places, step * step * inside.astype(np.float64), inside_rim / np.count_nonzero(is_rim)
 
 
-@kernel(parallel=True)
-def _count_inside(mask, points, way, places, is_rim):
-    """How many points of a section, and of its rim, lie in a mask (half of it or more, linearly) at each place."""
-    inside, inside_rim = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
+@loop_kernel
+def _count_inside(mask, points, way, places, is_rim, inside, inside_rim):
+    """Count the points of a section, and of its rim, in a mask (half of it or more, linearly) at each place."""
     nz, ny, nx = mask.shape
     for n in numba.prange(len(places)):
+        count, rim_count = 0, 0
         for p in range(len(points)):
             z = min(max(points[p, 0] + places[n] * way[0], 0.0), nz - 1.0)
             y = min(max(points[p, 1] + places[n] * way[1], 0.0), ny - 1.0)
@@ -325,10 +326,10 @@ def _count_inside(mask, points, way, places, is_rim):
                 (1.0 - a) * mask[kk, jj, i] + a * mask[kk, jj, ii]
             )
             if (1.0 - c) * low + c * high >= HALF:
-                inside[n] += 1
+                count += 1
                 if is_rim[p]:
-                    inside_rim[n] += 1
-    return inside, inside_rim
+                    rim_count += 1
+        inside[n], inside_rim[n] = count, rim_count
 
 
 def _full_sections(places: Float64, areas: Float64, is_body: Bool, disc: Disc) -> tuple[float, float]:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel, loop_kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.pipeline.fields.contacts import Extent, faces_between
 from heartcase.pipeline.kernels.topology import piece_sizes
 from heartcase.schemas.arrays import Bool, UInt8, UInt32
@@ -168,7 +168,9 @@ def _renumber(pieces, numbers):
 def _overlaps(before: UInt32, after: UInt32, factor: int) -> Any:
     """Common fine voxels of each piece before (row) and after (column), a sparse array."""
     shape = (int(before.max()) + 1, int(after.max()) + 1)
-    start = np.concatenate([[0], np.cumsum(_count_runs(before, after, factor))])
+    found = np.empty(len(after), np.int64)
+    _count_runs(before, after, factor, found)
+    start = np.concatenate([[0], np.cumsum(found)])
     rows, columns, counts = (np.empty(int(start[-1]), kind) for kind in (np.uint32, np.uint32, np.int64))
     _list_runs(before, after, factor, start, rows, columns, counts)
     return csr_array((counts, (rows, columns)), shape=shape)
@@ -195,15 +197,15 @@ def _runs_of(coarse, fine, factor, at, rows, columns, counts):
     return at
 
 
-@kernel(parallel=True)
-def _count_runs(before, after, factor):
-    """Runs in each fine plane."""
-    found = np.zeros(len(after), np.int64)
+@loop_kernel
+def _count_runs(before, after, factor, found):
+    """Count the runs in each fine plane."""
     for k in numba.prange(len(after)):
         none, no_count = np.empty(0, np.uint32), np.empty(0, np.int64)
+        count = 0
         for j in range(after.shape[1]):
-            found[k] = _runs_of(before[k // factor, j // factor], after[k, j], factor, found[k], none, none, no_count)
-    return found
+            count = _runs_of(before[k // factor, j // factor], after[k, j], factor, count, none, none, no_count)
+        found[k] = count
 
 
 @loop_kernel

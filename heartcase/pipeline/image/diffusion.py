@@ -114,21 +114,21 @@ def mean_square_gradient(values: Float32, spacing_mm: tuple[float, float, float]
         Highest minus lowest value, above zero: the squares are taken in its units, where float32 holds them.
     """
     scale = _scale(0.5 / (np.array(spacing_mm) * extent))
-    return float(_square_gradient_sums(np.ascontiguousarray(values, np.float32), scale).sum()) / values.size * extent**2
+    sums = np.empty(len(values))
+    _sum_square_gradients(np.ascontiguousarray(values, np.float32), scale, sums)
+    return float(sums.sum()) / values.size * extent**2
 
 
-@kernel(parallel=True)
-def _square_gradient_sums(u, scale):
-    """Sum over each plane of the squared central differences times ``scale``."""
+@loop_kernel
+def _sum_square_gradients(u, scale, sums):
+    """Sum the squared central differences times ``scale`` over each plane."""
     nz, ny, nx = u.shape
-    sums = np.empty(nz)
     for k in numba.prange(nz):
         row_sum = np.zeros(nx, np.float32)
         down, here, up = u[max(k - 1, 0)], u[k], u[min(k + 1, nz - 1)]
         for j in range(ny):
             _add_squares(row_sum, here[j], here[max(j - 1, 0)], here[min(j + 1, ny - 1)], down[j], up[j], scale)
         sums[k] = row_sum.astype(np.float64).sum()
-    return sums
 
 
 @kernel(fastmath={"contract"})

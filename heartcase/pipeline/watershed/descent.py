@@ -94,12 +94,22 @@ def basins_of(direction: UInt8) -> tuple[Int32, Int64]:
     """
     basin = np.empty(direction.shape, np.int32)
     chunks = row_chunks(direction.shape) * direction.shape[2]
-    counts = _root_counts(direction.ravel(), chunks)
+    counts = np.empty(len(chunks) - 1, np.int64)
+    _count_roots(direction.ravel(), chunks, counts)
     first = np.concatenate([[0], np.cumsum(counts)])
     root = np.empty(int(first[-1]), np.int64)
     _number_roots(direction.ravel(), chunks, first, basin.reshape(-1), root)
     _follow(direction.ravel(), chunks, side_offsets(direction.shape), basin.reshape(-1))
     return basin, root
+
+
+def _follow(direction: UInt8, chunks: Int64, offsets: Int64, basin: Int32) -> None:
+    """Hand the basins' numbers up the descents; no branch depends on the data, which could not be predicted."""
+    waiting = np.empty(len(direction), np.int32)
+    count = np.empty(len(chunks) - 1, np.int64)
+    _first_sweeps(direction, chunks, offsets, basin, waiting, count)
+    while count.any():
+        _further_sweeps(direction, chunks, offsets, basin, waiting, count)
 
 
 @kernel(inline="always")
@@ -238,15 +248,13 @@ def ranks_at(height, v):
     )
 
 
-@kernel(parallel=True)
-def _root_counts(direction, chunks):
-    counts = np.zeros(len(chunks) - 1, np.int64)
+@loop_kernel
+def _count_roots(direction, chunks, counts):
     for c in numba.prange(len(chunks) - 1):
         count = 0
         for v in range(chunks[c], chunks[c + 1]):
             count += direction[v] == ROOT
         counts[c] = count
-    return counts
 
 
 @loop_kernel
@@ -308,14 +316,15 @@ def _first_sweep(direction, low, high, waiting, offsets, basin):
     return left
 
 
-@kernel(parallel=True)
-def _follow(direction, chunks, offsets, basin):
-    """Hand the basins' numbers up the descents; no branch depends on the data, which could not be predicted."""
-    waiting = np.empty(len(direction), np.int32)
-    count = np.zeros(len(chunks) - 1, np.int64)
+@loop_kernel
+def _first_sweeps(direction, chunks, offsets, basin, waiting, count):
+    """Sweep each chunk once; its voxels that wait then, from its start in ``waiting`` on, and how many they are."""
     for c in numba.prange(len(chunks) - 1):
-        left = _first_sweep(direction, chunks[c], chunks[c + 1], waiting, offsets, basin)
-        count[c] = _sweep_until_stuck(direction, chunks[c], chunks[c + 1], waiting, left, offsets, basin)
-    while count.sum() > 0:
-        for c in numba.prange(len(chunks) - 1):
-            count[c] = _sweep_until_stuck(direction, chunks[c], chunks[c + 1], waiting, count[c], offsets, basin)
+        count[c] = _first_sweep(direction, chunks[c], chunks[c + 1], waiting, offsets, basin)
+
+
+@loop_kernel
+def _further_sweeps(direction, chunks, offsets, basin, waiting, count):
+    """Sweep each chunk until what still waits there waits for other chunks, or nothing does."""
+    for c in numba.prange(len(chunks) - 1):
+        count[c] = _sweep_until_stuck(direction, chunks[c], chunks[c + 1], waiting, count[c], offsets, basin)

@@ -187,11 +187,11 @@ class Forest:
         tree = self.tree
         bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
         np.copyto(self.marks, self.painted)
-        voxels = marked_voxels(self.marks.ravel(), row_chunks(self.marks.shape) * self.marks.shape[2])
+        voxels = marked_voxels(self.marks)
         note_flats(bits, basin, tree.root, tree.flat, self.marks.ravel(), voxels, self.flat_label)
         if (self.flat_label == CONTESTED).any():
             self._divide_flats(voxels)
-            voxels = marked_voxels(self.marks.ravel(), row_chunks(self.marks.shape) * self.marks.shape[2])
+            voxels = marked_voxels(self.marks)
         self.lowest_mark[:] = -1
         find_lowest_marks(bits, basin, voxels, self.lowest_mark)
         self._forget()

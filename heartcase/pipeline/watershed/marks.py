@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.descent import ROOT
+from heartcase.schemas.arrays import Int64, UInt8
 
 __all__ = [
     "CONTESTED",
@@ -27,24 +27,9 @@ CONTESTED = -2
 """Of a flat minimum: several labels mark it."""
 
 
-@kernel(parallel=True)
-def marked_voxels(marks, chunks):
+def marked_voxels(marks: UInt8) -> Int64:
     """Flat indices of the marked voxels, ascending."""
-    count = np.zeros(len(chunks), np.int64)
-    for c in numba.prange(len(chunks) - 1):
-        found = 0
-        for v in range(chunks[c], chunks[c + 1]):
-            found += marks[v] != UNMARKED
-        count[c + 1] = found
-    first = np.cumsum(count)
-    voxels = np.empty(first[-1], np.int64)
-    for c in numba.prange(len(chunks) - 1):
-        at = first[c]
-        for v in range(chunks[c], chunks[c + 1]):
-            if marks[v] != UNMARKED:
-                voxels[at] = v
-                at += 1
-    return voxels
+    return np.flatnonzero(marks != UNMARKED)
 
 
 @kernel

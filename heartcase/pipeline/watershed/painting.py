@@ -9,6 +9,7 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.marks import mark_below
+from heartcase.schemas.arrays import Int32, Int64, UInt8
 
 __all__ = ["TILE", "count_labels", "count_values", "paint_basins", "paint_boxes", "paint_rows", "tiles_of"]
 
@@ -72,15 +73,29 @@ def _paint_row(row, begin, basin, table, direction, offsets, marks, foot_label):
     return first, last
 
 
-@kernel(parallel=True)
-def paint_rows(rows, direction, basin, offsets, marks, lowest_mark, foot_label, labels):
+def paint_rows(
+    rows: Int64,
+    direction: UInt8,
+    basin: Int32,
+    offsets: Int64,
+    marks: UInt8,
+    lowest_mark: Int64,
+    foot_label: UInt8,
+    labels: UInt8,
+) -> tuple[Int64, Int64]:
     """Label all voxels; for each chunk of rows the lowest and highest (z, y, x) at which that changed something."""
-    nz, ny, nx = labels.shape
-    low = np.empty((len(rows) - 1, 3), np.int64)
+    low = np.tile(np.array(labels.shape, np.int64), (len(rows) - 1, 1))
     high = np.full((len(rows) - 1, 3), -1, np.int64)
     table = np.where(lowest_mark >= 0, np.uint8(MARKED_BASIN), foot_label)
+    _paint_chunks(rows, table, direction, basin, offsets, marks, foot_label, labels, low, high)
+    return low, high
+
+
+@loop_kernel
+def _paint_chunks(rows, table, direction, basin, offsets, marks, foot_label, labels, low, high):
+    """The same with a table of the basins' labels; ``low`` holds the volume's shape, and ``high`` -1."""
+    _, ny, nx = labels.shape
     for c in numba.prange(len(rows) - 1):
-        low[c, 0], low[c, 1], low[c, 2] = nz, ny, nx
         for line in range(rows[c], rows[c + 1]):
             k = line // ny
             j = line - k * ny
@@ -88,7 +103,6 @@ def paint_rows(rows, direction, basin, offsets, marks, lowest_mark, foot_label, 
             if last >= 0:
                 low[c, 0], low[c, 1], low[c, 2] = min(low[c, 0], k), min(low[c, 1], j), min(low[c, 2], first)
                 high[c, 0], high[c, 1], high[c, 2] = max(high[c, 0], k), max(high[c, 1], j), max(high[c, 2], last)
-    return low, high
 
 
 @loop_kernel

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.schemas.arrays import Float32, Int32, Int64
@@ -33,8 +33,12 @@ def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: 
         a lower neighbour. The basin's voxels as high as its lowest one are those of the flat.
     """
     bits = height.view(np.int32).ravel()
-    found: Int32 = _flat_minima(bits, height.shape, side_offsets(height.shape), root, key, first, second)
-    return found
+    has_flat = np.empty(len(root), np.bool_)
+    _find_flat_bottoms(bits, height.shape, side_offsets(height.shape), root, has_flat)
+    flat = np.full(len(root), -1, np.int32)
+    if has_flat.any():
+        _number_flats(bits, root, key, first, second, has_flat, flat)
+    return flat
 
 
 @kernel
@@ -85,22 +89,17 @@ def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):
         shore = np.sort(reached[:count])
 
 
-@kernel(parallel=True)
-def _has_flat_bottom(bits, shape, offsets, root):
-    """Basins whose lowest voxel has a neighbour as high."""
-    has_flat = np.empty(len(root), np.bool_)
+@loop_kernel
+def _find_flat_bottoms(bits, shape, offsets, root, has_flat):
+    """Find the basins whose lowest voxel has a neighbour as high."""
     for b in numba.prange(len(root)):
         has_flat[b] = _has_equal_neighbour(bits, shape, offsets, root[b])
-    return has_flat
 
 
 @kernel
-def _flat_minima(bits, shape, offsets, root, key, first, second):
+def _number_flats(bits, root, key, first, second, has_flat, flat):
+    """Number the flat minima among the flat bottoms in ``flat``, which holds -1."""
     count = len(root)
-    flat = np.full(count, -1, np.int32)
-    has_flat = _has_flat_bottom(bits, shape, offsets, root)
-    if not has_flat.any():
-        return flat
     leader = np.arange(count).astype(np.int32)
     for e in range(len(key)):
         a, b = first[e], second[e]
@@ -125,7 +124,6 @@ def _flat_minima(bits, shape, offsets, root, key, first, second):
             top = root_of(leader, b)
             if is_minimum[top]:
                 flat[b] = top
-    return flat
 
 
 @copied

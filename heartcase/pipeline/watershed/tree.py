@@ -39,6 +39,8 @@ MOST_VOXELS = 1 << 29
 """Voxels of the largest volume: a face's key holds the index of its higher voxel in 29 bits."""
 NO_KEY = np.int64(2**63 - 1)
 NO_PAIR = -1
+INFINITE = 0x7F800000
+"""Bits of an infinite height; those of a NaN are higher."""
 NOTED = 1 << 14
 """Pairs of basins whose faces were met last; enough for those of a row and the slice before it."""
 HASH = np.int64(0x9E3779B97F4A7C15 - (1 << 64))
@@ -79,8 +81,9 @@ class BasinTree:
     @cached_property
     def basins(self) -> tuple[Int32, Int32]:
         """The basins that each joining face joins: that of its higher and that of its lower voxel."""
-        first, second = _owners(self.basin.ravel(), *self.ends)
-        return first, second
+        basin = self.basin.ravel()
+        higher, lower = self.ends
+        return basin[higher], basin[lower]
 
     @cached_property
     def flat(self) -> Int32:
@@ -126,11 +129,10 @@ def build_basin_tree(height: Float32) -> BasinTree:
             f"the scan has {height.size:,} voxels, more than {MOST_VOXELS:,}: cut a region of interest out",
             place="segment",
         )
-    lowest = _lowest_bits(height.view(np.int32).ravel())
-    if lowest < 0:
+    if not _is_ordered_by_bits(height):
         # a negative zero would sort below everything; adding zero makes it positive
         height = height + np.float32(0.0)
-    if not height.size or _lowest_bits(height.view(np.int32).ravel()) < 0:
+    if not height.size or not _is_ordered_by_bits(height):
         raise StageError("the gradient is negative or not a number somewhere: check the scan", place="segment")
     direction = steepest_descent(height)
     basin, root = basins_of(direction)
@@ -143,7 +145,15 @@ def restored_tree(height: Float32, direction: UInt8, key: Int64) -> BasinTree | 
     basin, root = basins_of(direction)
     if len(root) != len(key) + 1:
         return None
-    return BasinTree(height, direction, basin, root, key, _lower_ends(key, height, side_offsets(height.shape)))
+    lower = np.empty(len(key), np.int32)
+    _find_lower_ends(key, height, side_offsets(height.shape), lower)
+    return BasinTree(height, direction, basin, root, key, lower)
+
+
+def _is_ordered_by_bits(height: Float32) -> bool:
+    """Whether the heights' bits sort as they do: none is negative, a negative zero, infinite or NaN."""
+    bits = height.view(np.int32)
+    return bool(bits.min(initial=0) >= 0 and bits.max(initial=0) < INFINITE)
 
 
 def joining_faces(height: Float32, basin: Int32, root: Int64) -> tuple[Int64, Int32]:
@@ -176,25 +186,16 @@ def joining_faces(height: Float32, basin: Int32, root: Int64) -> tuple[Int64, In
     component = np.arange(len(root), dtype=np.int32)
     found, count = 0, len(root)
     while count > 1:
-        lowest, parent = _lowest_faces(best, flat, ranks, offsets, component)
+        lowest, parent = np.empty(count, np.int64), np.empty(count, np.int32)
+        _find_lowest_faces(best, flat, ranks, offsets, component, lowest, parent)
         found, mapping, count = _merge(lowest, parent, tree, found)
         component = mapping[component]
         best = np.full((len(chunks) - 1, count), NO_KEY, np.int64)
         _contract(start, stop, key, pair, mapping, best)
     tree.sort()
-    return tree, _lower_by_rank(tree, ranks, offsets)
-
-
-@kernel(parallel=True)
-def _lowest_bits(bits):
-    """Lowest value of the heights' bits, or -2 where one is infinite or NaN; -1 - or less - where one is negative."""
-    lowest = np.int32(0)
-    for n in numba.prange(len(bits)):
-        value = np.int32(-2)
-        if bits[n] < 0x7F800000:
-            value = bits[n]
-        lowest = min(lowest, value)
-    return lowest
+    lower = np.empty(len(tree), np.int32)
+    _find_lower_by_rank(tree, ranks, offsets, lower)
+    return tree, lower
 
 
 @copied
@@ -272,13 +273,10 @@ def _find_candidates(bits, basin, ranks, chunks, offsets, start, stop, key, pair
         _lowest_of_each(start[c], stop[c], key, pair, best[c])
 
 
-@kernel(parallel=True)
-def _lowest_faces(best, basin, ranks, offsets, component):
-    """The lowest face of each component, of those that the threads found, and the component beyond it."""
-    count = best.shape[1]
-    lowest = np.empty(count, np.int64)
-    parent = np.empty(count, np.int32)
-    for c in numba.prange(count):
+@loop_kernel
+def _find_lowest_faces(best, basin, ranks, offsets, component, lowest, parent):
+    """Find the lowest face of each component, of those that the threads found, and the component beyond it."""
+    for c in numba.prange(len(lowest)):
         one = best[0, c]
         for n in range(1, best.shape[0]):
             one = min(one, best[n, c])
@@ -288,7 +286,6 @@ def _lowest_faces(best, basin, ranks, offsets, component):
             other = component[basin[hi + offsets[side_of_rank(ranks[hi], one & 7)]]]
         lowest[c] = one
         parent[c] = other
-    return lowest, parent
 
 
 @kernel
@@ -341,33 +338,20 @@ def _contract(start, stop, key, pair, mapping, best):
         _lowest_of_each(start[c], stop[c], key, pair, best[c])
 
 
-@kernel(parallel=True)
-def _lower_by_rank(key, ranks, offsets):
-    lower = np.empty(len(key), np.int32)
+@loop_kernel
+def _find_lower_by_rank(key, ranks, offsets, lower):
+    """Find the lower voxel of each face."""
     for e in numba.prange(len(key)):
         v = (key[e] >> 3) & (MOST_VOXELS - 1)
         lower[e] = v + offsets[side_of_rank(ranks[v], key[e] & 7)]
-    return lower
 
 
-@kernel(parallel=True)
-def _lower_ends(key, height, offsets):
+@loop_kernel
+def _find_lower_ends(key, height, offsets, lower):
     """The same where the ranks are not at hand."""
-    lower = np.empty(len(key), np.int32)
     for e in numba.prange(len(key)):
         v = (key[e] >> 3) & (MOST_VOXELS - 1)
         lower[e] = v + offsets[side_of_rank(ranks_at(height, v), key[e] & 7)]
-    return lower
-
-
-@kernel(parallel=True)
-def _owners(basin, higher, lower):
-    first = np.empty(len(higher), np.int32)
-    second = np.empty(len(higher), np.int32)
-    for e in numba.prange(len(higher)):
-        first[e] = basin[higher[e]]
-        second[e] = basin[lower[e]]
-    return first, second
 
 
 @kernel

@@ -291,7 +291,8 @@ def test_points_of_a_section_are_counted_as_by_linear_interpolation(seed, share)
     mask = random.random(random.integers(2, 9, 3)) < share
     points = random.uniform(-2.0, 9.0, (40, 3))
     way, places, is_rim = random.normal(size=3), np.linspace(-3.0, 3.0, 7), random.random(40) < 0.3
-    inside, inside_rim = _count_inside(mask, points, way, places, is_rim)
+    inside, inside_rim = np.empty(len(places), np.int64), np.empty(len(places), np.int64)
+    _count_inside(mask, points, way, places, is_rim, inside, inside_rim)
     for n, place in enumerate(places):
         value = map_coordinates(mask.astype(float), (points + place * way).T, order=1, mode="nearest")
         assert inside[n] == np.count_nonzero(value >= HALF)

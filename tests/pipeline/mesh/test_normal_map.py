@@ -161,14 +161,16 @@ def test_points_that_two_triangles_share_are_fitted_once_and_right():
     edge = np.linalg.norm(vertices[np.roll(corners, -1, axis=1)] - vertices[corners], axis=2).max(axis=1)
     parts = np.ceil(edge / 0.6).astype(np.int64)
     start = np.concatenate([[0], np.cumsum((parts + 1) * (parts + 2) // 2)])
+    flat = np.zeros(len(corners), bool)
     known = {}
     # where every half-edge is its own opposite, no triangle gives anything to another
     for name, opposite in (("shared", opposites(corners)), ("alone", np.arange(corners.size, dtype=np.int32))):
         known[name] = np.full((int(start[-1]), 3), np.nan, np.float32)
         normal_map._fit_lattices(
             *(reader.layout, reader.tables, to_index_matrix(reader), corners, vertices, surface.normals.astype(float)),
-            *(np.zeros(len(corners), bool), opposite, parts, start, rings_of(reader), 0.4, known[name]),
+            *(flat, opposite, parts, start, rings_of(reader), 0.4, known[name]),
         )
+        normal_map._take_given(flat, opposite, parts, start, known[name])
     assert np.isfinite(known["shared"]).all()
     away = degrees(unit(known["shared"].astype(float)), unit(known["alone"].astype(float)))
     assert away.max() < 0.1

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.mesh.decimation.quadrics import (
     best_place,
     edge_costs,
@@ -250,22 +250,18 @@ def _sweep_part(position, tail, opposite, quadric, alive, cost, limit, mark, mov
     return gone
 
 
-@kernel(parallel=True)
-def _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most):
+@loop_kernel
+def _sweep(position, tail, opposite, quadric, alive, cost, limit, mark, moved, still, parts, most, gone):
     """Collapse edges of at most the cost ``limit``, but none beside a vertex that has moved already.
 
     ``still`` are vertices that stay, ``parts`` the bounds of the parts of the mesh, ``most`` how many triangles each
-    may lose; returns how many do.
+    may lose, and ``gone`` how many do; ``mark`` is work space that holds -1.
     """
-    mark = np.full(len(position), -1, np.int32)
-    moved = np.zeros(len(position), np.bool_)
-    gone = np.zeros(len(most), np.int64)
     for part in numba.prange(len(most)):
         gone[part] = _sweep_part(
             position, tail, opposite, quadric, alive, cost, limit, mark, moved, still,
             parts[part], parts[part + 1], most[part],
         )  # fmt: skip
-    return gone.sum()
 
 
 @dataclass(frozen=True)
@@ -335,7 +331,10 @@ def swept(
         parts, size = _parts_of(alive, turn=turn)
         most = np.diff(np.cumsum(size, dtype=np.int64) * (left - until) // left, prepend=0)
         still = vertices_between(tail, opposite, alive, parts, True)
-        left -= _sweep(position, tail, opposite, quadric, alive, cost, limit, still, parts, most)
+        mark, moved = np.full(len(position), -1, np.int32), np.zeros(len(position), np.bool_)
+        gone = np.empty_like(most)
+        _sweep(position, tail, opposite, quadric, alive, cost, limit, mark, moved, still, parts, most, gone)
+        left -= int(gone.sum())
         turn += 1
     return _packed(position, tail, opposite, quadric, alive)
 

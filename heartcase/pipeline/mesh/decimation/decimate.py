@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.pipeline.mesh.decimation.collapse import Collapsing, Joined, joined, swept
 from heartcase.pipeline.mesh.decimation.edge_heap import finished
 from heartcase.pipeline.mesh.triangles.half_edges import opposites
@@ -233,14 +233,16 @@ def folded_triangles(vertices: Float64, triangles: Int32, *, opposite: Int32 | N
     No edge of a solid that is sharp by up to 90 degrees, decimated or not, makes a triangle count.
     """
     beside = opposites(triangles) if opposite is None else opposite
+    doubled = np.empty((len(triangles), 3))
+    _find_doubled(np.ascontiguousarray(vertices, np.float64), triangles, doubled)
     folded = np.empty(len(triangles), np.bool_)
-    _find_folded(np.ascontiguousarray(vertices, np.float64), triangles, beside, folded)
+    _find_folded(doubled, beside, folded)
     return folded
 
 
-@kernel(parallel=True)
-def _find_folded(vertices, triangles, opposite, folded):
-    doubled = np.empty((len(triangles), 3))
+@loop_kernel
+def _find_doubled(vertices, triangles, doubled):
+    """Find the doubled area of each triangle, along its normal."""
     for t in numba.prange(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
@@ -248,7 +250,12 @@ def _find_folded(vertices, triangles, opposite, folded):
         doubled[t, 0] = uy * vz - uz * vy
         doubled[t, 1] = uz * vx - ux * vz
         doubled[t, 2] = ux * vy - uy * vx
-    for t in numba.prange(len(triangles)):
+
+
+@loop_kernel
+def _find_folded(doubled, opposite, folded):
+    """Find the triangles turned over, by these areas."""
+    for t in numba.prange(len(doubled)):
         p, q, r = opposite[3 * t] // 3, opposite[3 * t + 1] // 3, opposite[3 * t + 2] // 3
         together, own, around = 0.0, 0.0, 0.0
         for axis in range(3):
@@ -260,11 +267,16 @@ def _find_folded(vertices, triangles, opposite, folded):
         folded[t] = together < FOLD_COSINE * np.sqrt(own) * np.sqrt(around)
 
 
-@kernel(parallel=True)
-def _within(vertices, middles, reaches):
+def _within(vertices: Float64, middles: Float64, reaches: Float64) -> Bool:
     """Whether a vertex is within the reach of one of some places, mm, which ascend along z."""
     near = np.zeros(len(vertices), np.bool_)
-    most = reaches.max()
+    _note_within(vertices, middles, reaches, reaches.max(), near)
+    return near
+
+
+@loop_kernel
+def _note_within(vertices, middles, reaches, most, near):
+    """Note them in ``near``; ``most`` is the longest reach."""
     for v in numba.prange(len(vertices)):
         for n in range(np.searchsorted(middles[:, 2], vertices[v, 2] - most), len(middles)):
             if middles[n, 2] > vertices[v, 2] + most:
@@ -275,7 +287,6 @@ def _within(vertices, middles, reaches):
             if x * x + y * y + z * z <= reaches[n] * reaches[n]:
                 near[v] = True
                 break
-    return near
 
 
 def relax_folds(vertices: Float64, triangles: Int32, *, reach_mm: float) -> tuple[Float64, int, Int32]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel, loop_kernel
+from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 
 __all__ = ["best_place", "edge_costs", "next_edge", "previous_edge", "vertex_quadrics", "vertices_between"]
 
@@ -47,30 +48,41 @@ def _add_plane(quadric, nx, ny, nz, d, weight):
     quadric[9] += weight * d * d
 
 
-@kernel(parallel=True)
-def vertices_between(tail, opposite, alive, parts, widely):
+def vertices_between(tail: Int32, opposite: Int32, alive: Bool, parts: Int64, widely: bool) -> Bool:
     """Vertices with triangles in two parts of a mesh; ``widely``: and all their neighbours.
 
     Collapses of edges between the other vertices, in different parts, read and write nothing of each other: the
     triangles around both ends, and those beyond them, lie in one part. ``parts`` are the bounds of the parts, among the
-    triangles. Whichever thread comes first, what is written is true.
+    triangles.
     """
     found = np.zeros(tail.max() + 1, np.bool_)
     if len(parts) == 2:
         return found
+    _note_between(tail, opposite, alive, parts, found)
+    if not widely:
+        return found
+    wide = found.copy()
+    _note_beside(tail, alive, parts, found, wide)
+    return wide
+
+
+@loop_kernel
+def _note_between(tail, opposite, alive, parts, found):
+    """Note vertices with triangles in two parts; whichever thread comes first, what is written is true."""
     for part in numba.prange(len(parts) - 1):
         for h in range(3 * parts[part], 3 * parts[part + 1]):
             if alive[h // 3] and not parts[part] <= opposite[h] // 3 < parts[part + 1]:
                 found[tail[h]] = True
                 found[tail[next_edge(h)]] = True
-    if not widely:
-        return found
-    wide = found.copy()
+
+
+@loop_kernel
+def _note_beside(tail, alive, parts, found, wide):
+    """Note the neighbours of some vertices."""
     for part in numba.prange(len(parts) - 1):
         for h in range(3 * parts[part], 3 * parts[part + 1]):
             if alive[h // 3] and found[tail[h]]:
                 wide[tail[next_edge(h)]] = True
-    return wide
 
 
 @called
@@ -117,20 +129,33 @@ def _add_triangle(t, position, tail, opposite, tags, between, wanted, quadric):
                     _add_plane(quadric[end], mx, my, mz, d_edge, BORDER_WEIGHT * length * length / 6.0)
 
 
-@kernel(parallel=True)
-def vertex_quadrics(position, tail, opposite, tags, between, parts):
+def vertex_quadrics(
+    position: Float64, tail: Int32, opposite: Int32, tags: Int64, between: Bool, parts: Int64
+) -> Float64:
     """Quadric of each vertex: of its triangles' planes, and of planes through the borders between tags.
 
     ``parts`` are bounds among the triangles: of parts that are worked on at the same time. ``between`` are the vertices
     with triangles in two of them.
     """
     quadric = np.zeros((len(position), 10))
+    _add_inside(position, tail, opposite, tags, between, parts, quadric)
+    _add_between(position, tail, opposite, tags, between, quadric)
+    return quadric
+
+
+@loop_kernel
+def _add_inside(position, tail, opposite, tags, between, parts, quadric):
+    """Add the planes of all vertices that lie in one part alone."""
     for part in numba.prange(len(parts) - 1):
         for t in range(parts[part], parts[part + 1]):
             _add_triangle(t, position, tail, opposite, tags, between, False, quadric)
+
+
+@kernel
+def _add_between(position, tail, opposite, tags, between, quadric):
+    """Add the planes of all others, in the order of the triangles."""
     for t in range(len(tail) // 3):
         _add_triangle(t, position, tail, opposite, tags, between, True, quadric)
-    return quadric
 
 
 @copied

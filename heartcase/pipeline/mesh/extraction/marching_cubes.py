@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import kernel, loop_kernel
+from heartcase.compiling.kernel import loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.fields.point_kernels import evaluate_owner, scratch
 from heartcase.pipeline.fields.reader import FieldReader, steps_through
@@ -95,9 +95,9 @@ def triangulated_border(reader: FieldReader, lattice: Geometry, field: PaddedFie
     """
     start, step = steps_through(reader.structures.geometry, lattice)
     cases = cube_cases()
-    vertex_start, triangle_start = (
-        np.concatenate([[0], np.cumsum(counts)]) for counts in _plane_counts(field.tissue_mm, cases.triangle_count)
-    )
+    counts = np.empty((2, len(field.tissue_mm)), np.int64)
+    _count_in_planes(field.tissue_mm, cases.triangle_count, *counts)
+    vertex_start, triangle_start = (np.concatenate([[0], np.cumsum(some)]) for some in counts)
     index = np.empty((int(vertex_start[-1]), 3))
     label = np.empty(len(index), np.uint8)
     triangles = np.empty((int(triangle_start[-1]), 3), np.int32)
@@ -223,14 +223,11 @@ def _counts_of_plane(field, triangle_count, k):
     return vertex_total, triangle_total
 
 
-@kernel(parallel=True)
-def _plane_counts(field, triangle_count):
-    """Vertices on the edges that start in each plane of points, and triangles of the cubes above each."""
-    vertices = np.zeros(len(field), np.int64)
-    triangles = np.zeros(len(field), np.int64)
+@loop_kernel
+def _count_in_planes(field, triangle_count, vertices, triangles):
+    """Count the vertices on the edges that start in each plane of points, and the triangles of the cubes above each."""
     for k in numba.prange(len(field)):
         vertices[k], triangles[k] = _counts_of_plane(field, triangle_count, k)
-    return vertices, triangles
 
 
 @copied

@@ -281,7 +281,9 @@ def _evict(vertices: Float64, triangles: Int32, chart: Int32, axes: Float64, fir
     start = np.searchsorted(chart[order], np.arange(first_new, len(axes) + 1))
     corners = vertices[triangles[order].ravel()]
     flat = project(corners, axes, np.repeat(chart[order], 3)).reshape(-1, 3, 2)
-    chart[order[_overlapping(flat, start)]] = -1
+    is_over = np.zeros(len(flat), np.bool_)
+    _note_overlapping(flat, start, is_over)
+    chart[order[is_over]] = -1
 
 
 @copied
@@ -373,11 +375,9 @@ def _find_overlapping(flat, begin, end, out):
                 entry += 1
 
 
-@kernel(parallel=True)
-def _overlapping(flat, start):
-    """Triangles that overlap a kept one of lower rank in the same chart."""
-    out = np.zeros(len(flat), np.bool_)
+@loop_kernel
+def _note_overlapping(flat, start, is_over):
+    """Note the triangles that overlap a kept one of lower rank in the same chart."""
     for c in numba.prange(len(start) - 1):
         if start[c + 1] - start[c] > 1:
-            _find_overlapping(flat, start[c], start[c + 1], out)
-    return out
+            _find_overlapping(flat, start[c], start[c + 1], is_over)

@@ -138,6 +138,7 @@ def _fitted_between(
     parts = np.clip(np.ceil(edge / apart), 1, MOST_PARTS).astype(np.int64)
     start = np.concatenate([[0], np.cumsum((parts + 1) * (parts + 2) // 2)])
     known = np.empty((int(start[-1]), 3), np.float32)
+    opposite = opposites(corners)
     _fit_lattices(
         reader.layout,
         reader.tables,
@@ -146,13 +147,14 @@ def _fitted_between(
         vertices,
         normals,
         flat,
-        opposites(corners),
+        opposite,
         parts,
         start,
         rings,
         reach_mm,
         known,
     )
+    _take_given(flat, opposite, parts, start, known)
     return parts, start, known
 
 
@@ -286,9 +288,9 @@ def _fit_some_lattices(
                 put(out, known[start[t] + _number(i, j, count)])
 
 
-@kernel(parallel=True)
+@loop_kernel
 def _fit_lattices(layout, tables, m, corners, vertices, normals, flat, opposite, parts, start, rings, reach, known):
-    """Normals at the points of every triangle that is not flat; on an edge that two share, fitted once."""
+    """Fit normals at the points of every triangle that is not flat, without those that another one gives."""
     chunks = (len(corners) + CHUNK - 1) // CHUNK
     fields, walls, wide_to_narrow = lend(layout), lend(tables), lend(rings)
     for number in numba.prange(chunks):
@@ -308,15 +310,19 @@ def _fit_lattices(layout, tables, m, corners, vertices, normals, flat, opposite,
             known,
             every_other(number, chunks),
         )
-    for chunk in numba.prange(chunks):
-        for t in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(corners))):
-            for edge in range(3):
-                giver = _giver(t, edge, parts, flat, opposite)
-                if flat[t] or giver < 0:
-                    continue
-                for step in range(1, parts[t]):
-                    theirs = start[giver // 3] + _place_on_edge(giver % 3, parts[t] - step, parts[t])
-                    put(known[theirs], known[start[t] + _place_on_edge(edge, step, parts[t])])
+
+
+@loop_kernel
+def _take_given(flat, opposite, parts, start, known):
+    """Put the normals on edges where other triangles fitted them."""
+    for t in numba.prange(len(flat)):
+        for edge in range(3):
+            giver = _giver(t, edge, parts, flat, opposite)
+            if flat[t] or giver < 0:
+                continue
+            for step in range(1, parts[t]):
+                theirs = start[giver // 3] + _place_on_edge(giver % 3, parts[t] - step, parts[t])
+                put(known[theirs], known[start[t] + _place_on_edge(edge, step, parts[t])])
 
 
 @kernel(inline="always")
@@ -418,25 +424,38 @@ def _rasterise(uv, triangles, owner):
                     owner[j, i] = t
 
 
-@kernel(parallel=True)
-def _first_edge(filled):
+def _first_edge(filled: Bool) -> Int32:
     """Unfilled texels beside filled ones, row by row: (row, column), shape (n, 2)."""
+    counts = np.empty(len(filled), np.int64)
+    _count_edge(filled, counts)
+    begin = np.concatenate([[0], np.cumsum(counts)])
+    edge = np.empty((int(begin[-1]), 2), np.int32)
+    _list_edge(filled, begin, edge)
+    return edge
+
+
+@loop_kernel
+def _count_edge(filled, counts):
+    """Count the unfilled texels beside filled ones of each row."""
     rows, columns = filled.shape
-    begin = np.zeros(rows + 1, np.int64)
     for j in numba.prange(rows):
+        count = 0
         for i in range(columns):
             if not filled[j, i] and _is_beside(filled, j, i):
-                begin[j + 1] += 1
-    for j in range(rows):
-        begin[j + 1] += begin[j]
-    edge = np.empty((begin[rows], 2), np.int32)
+                count += 1
+        counts[j] = count
+
+
+@loop_kernel
+def _list_edge(filled, begin, edge):
+    """List them; those of each row begin at ``begin``."""
+    rows, columns = filled.shape
     for j in numba.prange(rows):
         at = begin[j]
         for i in range(columns):
             if not filled[j, i] and _is_beside(filled, j, i):
                 edge[at, 0], edge[at, 1] = j, i
                 at += 1
-    return edge
 
 
 @copied

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from heartcase.compiling.kernel import kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Bool, Int32
 
 __all__ = ["connected_parts", "opposites", "opposites_of_some"]
@@ -28,7 +28,9 @@ def opposites(triangles: Int32) -> Int32:
     """
     tail = np.ascontiguousarray(triangles, np.int32).ravel()
     opposite = np.empty(len(tail), np.int32)
-    if not _pair_half_edges(tail, int(triangles.max(initial=-1)) + 1, opposite):
+    start, leaving = _leaving_half_edges(tail, int(triangles.max(initial=-1)) + 1)
+    _pair_half_edges(tail, start, leaving, opposite)
+    if opposite.min(initial=0) < 0:
         raise ValueError("the mesh is not closed and manifold")
     return opposite
 
@@ -50,9 +52,9 @@ def opposites_of_some(opposite: Int32, kept: Bool) -> Int32:
     return renumbered.ravel()
 
 
-@kernel(parallel=True)
-def _pair_half_edges(tail, vertex_count, opposite):
-    """Pair each half-edge with the one that runs the other way; whether each has exactly one."""
+@kernel
+def _leaving_half_edges(tail, vertex_count):
+    """Half-edges that leave each vertex: ``leaving[start[v]:start[v + 1]]`` for vertex ``v``."""
     start = np.zeros(vertex_count + 1, np.int32)
     for h in range(len(tail)):
         start[tail[h] + 1] += 1
@@ -63,7 +65,12 @@ def _pair_half_edges(tail, vertex_count, opposite):
     for h in range(len(tail)):
         leaving[place[tail[h]]] = h
         place[tail[h]] += 1
-    lost = 0
+    return start, leaving
+
+
+@loop_kernel
+def _pair_half_edges(tail, start, leaving, opposite):
+    """Pair each half-edge with the one that runs the other way; -1 where it has not exactly one."""
     for h in numba.prange(len(tail)):
         u = tail[h]
         v = tail[h - 2 if h % 3 == 2 else h + 1]
@@ -74,12 +81,7 @@ def _pair_half_edges(tail, vertex_count, opposite):
             if tail[o - 2 if o % 3 == 2 else o + 1] == u:
                 found = o
                 count += 1
-        opposite[h] = found
-        if u == v:
-            count = 0
-        if count != 1:
-            lost += 1
-    return lost == 0
+        opposite[h] = found if count == 1 and u != v else -1
 
 
 @kernel

@@ -50,7 +50,8 @@ def self_intersections(vertices: Float, triangles: Int32, *, among: Bool | None 
         return _pairs_among(vertices, triangles, among)
     grid = triangle_grid(vertices, triangles)
     low, high = grid.corner.min(axis=1), grid.corner.max(axis=1)
-    counts = _cross_count(grid, low, high)
+    counts = np.empty(len(triangles), np.int64)
+    _cross_count(grid, low, high, counts)
     begin = np.concatenate([[0], np.cumsum(counts)])
     pairs = np.empty((int(begin[-1]), 2), np.int32)
     _cross_list(grid, low, high, begin, pairs)
@@ -65,7 +66,8 @@ def _pairs_among(vertices: Float, triangles: Int32, among: Bool) -> Int32:
     low, high = corner.min(axis=1), corner.max(axis=1)
     far = grid.origin + grid.edge * grid.size
     near = np.flatnonzero(((low <= far) & (high >= grid.origin)).all(axis=1))
-    counts = _cross_some_count(grid, corner, low, high, near, which)
+    counts = np.empty(len(near), np.int64)
+    _cross_some_count(grid, corner, low, high, near, which, counts)
     begin = np.concatenate([[0], np.cumsum(counts)])
     pairs = np.empty((int(begin[-1]), 2), np.int32)
     _cross_some_list(grid, corner, low, high, near, which, begin, pairs)
@@ -147,13 +149,11 @@ def _crossed_by(t, grid, low, high, found):
     return count
 
 
-@kernel(parallel=True)
-def _cross_count(grid, low, high):
-    counts = np.empty(len(low), np.int64)
+@loop_kernel
+def _cross_count(grid, low, high, counts):
     boxes = lend(grid)
     for t in numba.prange(len(low)):
         counts[t] = _crossed_by(t, boxes, low, high, np.empty(0, np.int32))
-    return counts
 
 
 @loop_kernel
@@ -201,13 +201,11 @@ def _crossed_by_some(t, grid, corner, low, high, which, found):
     return count
 
 
-@kernel(parallel=True)
-def _cross_some_count(grid, corner, low, high, near, which):
-    counts = np.empty(len(near), np.int64)
+@loop_kernel
+def _cross_some_count(grid, corner, low, high, near, which, counts):
     boxes = lend(grid)
     for n in numba.prange(len(near)):
         counts[n] = _crossed_by_some(near[n], boxes, corner, low, high, which, np.empty(0, np.int32))
-    return counts
 
 
 @loop_kernel

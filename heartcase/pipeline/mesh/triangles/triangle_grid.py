@@ -51,7 +51,9 @@ def triangle_grid(vertices_mm: Float, triangles: Int32) -> TriangleGrid:
     """
     vertices = np.ascontiguousarray(vertices_mm, np.float64)
     corner = np.empty((len(triangles), 3, 3))
-    low, high, widths = _take_corners(vertices, triangles, corner)
+    chunks = -(-len(triangles) // _CHUNK)
+    low, high, widths = np.empty((chunks, 3)), np.empty((chunks, 3)), np.empty(chunks)
+    _take_corners(vertices, triangles, corner, low, high, widths)
     origin, extent = low.min(axis=0), high.max(axis=0) - low.min(axis=0)
     edge = max(_EDGES_PER_BOX * float(widths.sum()) / len(triangles), 1e-9 * float(extent.max()), 1e-12)
     edge = max(edge, float(np.cbrt((extent + edge).prod() / _BOX_COUNT)))
@@ -61,12 +63,11 @@ def triangle_grid(vertices_mm: Float, triangles: Int32) -> TriangleGrid:
     return TriangleGrid(corner, origin, edge, size, first, last, *_fill(first, last, size))
 
 
-@kernel(parallel=True)
-def _take_corners(vertices, triangles, corner):
+@loop_kernel
+def _take_corners(vertices, triangles, corner, low, high, widths):
     """Corners of all triangles; lowest and highest place, and sum of the triangles' widths, of each chunk of them."""
-    chunks = (len(triangles) + _CHUNK - 1) // _CHUNK
-    low, high, widths = np.full((chunks, 3), np.inf), np.full((chunks, 3), -np.inf), np.zeros(chunks)
-    for chunk in numba.prange(chunks):
+    for chunk in numba.prange(len(widths)):
+        lowest, highest, total = np.full(3, np.inf), np.full(3, -np.inf), 0.0
         for t in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(triangles))):
             width = 0.0
             for axis in range(3):
@@ -75,10 +76,10 @@ def _take_corners(vertices, triangles, corner):
                 )  # fmt: skip
                 corner[t, 0, axis], corner[t, 1, axis], corner[t, 2, axis] = a, b, c
                 least, most = min(a, b, c), max(a, b, c)
-                low[chunk, axis], high[chunk, axis] = min(low[chunk, axis], least), max(high[chunk, axis], most)
+                lowest[axis], highest[axis] = min(lowest[axis], least), max(highest[axis], most)
                 width = max(width, most - least)
-            widths[chunk] += width
-    return low, high, widths
+            total += width
+        low[chunk], high[chunk], widths[chunk] = lowest, highest, total
 
 
 @loop_kernel
