@@ -62,7 +62,8 @@ def loop_kernel(function: Callable[..., Any]) -> LoopKernel:
     Python calls it; other kernels cannot. It is for functions that only assign names and then run one such loop, in
     which no name is a sum over it. Others are ``kernel(parallel=True)``, which takes twice as long to compile.
     """
-    shared = LoopKernel(function, partial(_compiled, cached=True, options={}))
+    # A division by zero gives what it gives in NumPy, as in numba's own parallel loops.
+    shared = LoopKernel(function, partial(_compiled, cached=True, options={"error_model": "numpy"}))
     KERNELS.append(shared)
     return shared
 

@@ -27,10 +27,12 @@ from numba.core.imputils import impl_ret_borrowed
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
-__all__ = ["PARTS_A_THREAD", "LoopKernel", "loop_part"]
+__all__ = ["PARTS_A_THREAD", "PART_TYPES", "LoopKernel", "loop_part"]
 
 PARTS_A_THREAD = 4
 """Parts of a loop for each thread: the last of them ends soon after the others."""
+PART_TYPES = (numba.int64, numba.int64)
+"""Types of the arguments that say which part of how many."""
 _PART = """
 def part(part_, parts_):
     begin_ = begin
@@ -66,11 +68,11 @@ class LoopKernel:
         """What is compiled, by the types of the arguments."""
         if "of_part" not in self.__dict__:
             return {}
-        return {types[2:]: found for types, found in self.of_part.overloads.items()}
+        return {types[len(PART_TYPES) :]: found for types, found in self.of_part.overloads.items()}
 
     def compile(self, types: tuple[Any, ...]) -> Any:
         """Compile for some types of arguments, or load from the cache."""
-        return self.of_part.compile((numba.int64, numba.int64, *types))
+        return self.of_part.compile((*PART_TYPES, *types))
 
     def __call__(self, *arguments: Any, **named: Any) -> None:
         """Work out the loop.

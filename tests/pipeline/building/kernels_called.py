@@ -54,11 +54,13 @@ class CalledKernels:
 
     def note(self, caller: str) -> None:
         """What was called since the last time, this caller called."""
+        from heartcase.compiling.loops import PART_TYPES, LoopKernel
         from heartcase.compiling.signatures import as_json
 
         for kernel in self._kernels:
-            function = kernel.py_func
-            if kernel.targetoptions.get("no_cpython_wrapper") or not function.__module__.startswith("heartcase."):
+            function, is_loop = kernel.py_func, isinstance(kernel, LoopKernel)
+            is_inner = not is_loop and kernel.targetoptions.get("no_cpython_wrapper")
+            if is_inner or not function.__module__.startswith("heartcase."):
                 continue
             for types in list(kernel.overloads):
                 try:
@@ -66,7 +68,8 @@ class CalledKernels:
                 except ValueError:  # of lent tuples and of constants, which only other kernels hand over
                     continue
                 key = (function.__module__, function.__qualname__, listed)
-                seconds = self._compiled.seconds.get((id(kernel), types), 0.0)
+                compiled = (id(kernel.of_part), PART_TYPES + types) if is_loop else (id(kernel), types)
+                seconds = self._compiled.seconds.get(compiled, 0.0)
                 self._called.setdefault(key, {"stage": caller, "seconds": round(seconds, 2)})
 
     def write(self, output: Path) -> None:
