@@ -109,7 +109,26 @@ def write_unfinished_to(folder: str) -> None:
     _unfinished = folder
 
 
+_writable: set[str] = set()
+"""Folders of the cache that were found to be there and writable."""
+
+
+def _looking_once(locator: Any) -> Any:
+    """One of numba's ways to find a folder for a cache: it tries to write into a folder for each function anew."""
+
+    class Once(locator):  # type: ignore[misc]
+        def ensure_cache_path(self) -> None:
+            path = self.get_cache_path()
+            if path not in _writable:
+                super().ensure_cache_path()
+                _writable.add(path)
+
+    return Once
+
+
 class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = [_looking_once(one) for one in CompileResultCacheImpl._locator_classes]
+
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         """Load a function, so that what is compiled with it knows what has to be bound for it.
 

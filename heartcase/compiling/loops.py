@@ -13,19 +13,15 @@ import __future__
 
 import ast
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, cached_property, update_wrapper
 from types import FunctionType
 from typing import Any, cast
 
 import numba
-from llvmlite import ir
-from numba.core import types
-from numba.core.cgutils import get_null_value
-from numba.core.imputils import impl_ret_borrowed
-from numba.core.typing.templates import Signature
-from numba.extending import intrinsic
+
+from heartcase.compiling.tuple_addresses import uncounted
 
 __all__ = ["PARTS_A_THREAD", "PART_TYPES", "LoopKernel", "loop_part"]
 
@@ -122,7 +118,8 @@ def loop_part(function: FunctionType) -> FunctionType:
         The function is not as :class:`LoopKernel` wants it.
     """
     lines, first_line = inspect.getsourcelines(function)
-    tree = ast.parse("".join(lines))
+    # Errors name the lines of the function as it is written.
+    tree = ast.parse("\n" * (first_line - 1) + "".join(lines))
     definition = tree.body[0]
     assert isinstance(definition, ast.FunctionDef)
     loop = _loop_of(definition)
@@ -141,7 +138,6 @@ def loop_part(function: FunctionType) -> FunctionType:
     set_begin.value = bounds[0] if len(bounds) == 2 else ast.Constant(0)
     set_length.value.left = bounds[-1]
     uncount = ast.parse("\n".join(f"{one.arg} = uncounted_({one.arg})" for one in definition.args.args)).body
-    # Errors name the lines of the function as it is written.
     for node in [inner for one in [*uncount, set_begin, set_length, some.iter] for inner in ast.walk(one)]:
         if isinstance(node, (ast.expr, ast.stmt)):
             ast.copy_location(node, loop)
@@ -149,28 +145,13 @@ def loop_part(function: FunctionType) -> FunctionType:
     definition.body = [*uncount, *definition.body[:-1], set_begin, set_length, loop]
     definition.decorator_list = []
     definition.args.args[:0] = template.args.args
-    ast.increment_lineno(tree, first_line - 1)
     made: dict[str, Any] = {}
     code = compile(tree, inspect.getfile(function), "exec", flags=_ANNOTATIONS, dont_inherit=True)
-    exec(code, function.__globals__ | {"uncounted_": _uncounted}, made)
+    exec(code, function.__globals__ | {"uncounted_": uncounted}, made)
     part = made[function.__name__]
     assert isinstance(part, FunctionType)
     part.__defaults__, part.__doc__ = function.__defaults__, function.__doc__
     return part
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _uncounted(typing_context: Any, given: types.Type) -> Any:
-    """What is given; an array as one that belongs to nobody, as numba sees it, so that no references are counted."""
-
-    def code(context: Any, builder: ir.IRBuilder, signature: Signature, values: Sequence[ir.Value]) -> ir.Value:
-        if not isinstance(given, types.Array):
-            return impl_ret_borrowed(context, builder, given, values[0])
-        array = context.make_array(given)(context, builder, values[0])
-        array.meminfo = get_null_value(array.meminfo.type)
-        return array._getvalue()
-
-    return given(given), code
 
 
 _ANNOTATIONS = __future__.annotations.compiler_flag
@@ -181,20 +162,19 @@ def _loop_of(definition: ast.FunctionDef) -> ast.For | None:
     *before, loop = definition.body
     if before and isinstance(before[0], ast.Expr) and isinstance(before[0].value, ast.Constant):
         before = before[1:]
-    loops = [node for node in ast.walk(definition) if isinstance(node, ast.Call) and _is_prange(node.func)]
+    of_before, within = (list(ast.walk(one)) for one in (ast.Module(before, []), loop))
+    nodes = of_before + within
+    loops = [node for node in nodes if isinstance(node, ast.Call) and _is_prange(node.func)]
     if not isinstance(loop, ast.For) or loop.orelse or [loop.iter] != loops or len(loops[0].args) > 2:
         return None
     is_plain = all(isinstance(one, ast.Assign) for one in before)
-    returns = any(isinstance(node, (ast.Return, ast.Yield, ast.YieldFrom)) for node in ast.walk(definition))
-    if not is_plain or returns or _names_set(before) & _names_set([loop]):
-        return None
-    return loop
+    returns = any(isinstance(node, (ast.Return, ast.Yield, ast.YieldFrom)) for node in nodes)
+    return loop if is_plain and not returns and not _names_set(of_before) & _names_set(within) else None
 
 
 def _is_prange(called: ast.expr) -> bool:
     return (called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")) == "prange"
 
 
-def _names_set(statements: list[ast.stmt]) -> set[str]:
-    nodes = [node for one in statements for node in ast.walk(one)]
+def _names_set(nodes: list[ast.AST]) -> set[str]:
     return {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}

@@ -1,4 +1,4 @@
-"""Tuples of arrays that kernels hand on by address.
+"""Tuples of arrays that kernels hand on by address, and arrays whose references are not counted.
 
 numba hands a tuple over as all parts of all its arrays, and counts the references to each of them, at every call. With
 the twenty arrays of a field layout that was much of what a first start compiled.
@@ -6,15 +6,17 @@ the twenty arrays of a field layout that was much of what a first start compiled
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
 from numba.core import types
 from numba.core.cgutils import alloca_once_value, get_null_value
-from numba.core.typing.templates import AttributeTemplate
+from numba.core.imputils import impl_ret_borrowed
+from numba.core.typing.templates import AttributeTemplate, Signature
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
-__all__ = ["Lent", "lend"]
+__all__ = ["Lent", "lend", "uncounted"]
 
 
 class Lent(types.Type):
@@ -43,6 +45,28 @@ def lend(typing_context: Any, owner: types.Type) -> Any:
     return Lent(owner)(owner), lambda context, builder, signature, values: alloca_once_value(builder, values[0])
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def uncounted(typing_context: Any, given: types.Type) -> Any:
+    """What is given; an array as one that belongs to nobody, as numba sees it, so that no references are counted.
+
+    For arguments of kernels, which the caller keeps. Counting costs more than reading a few numbers, and several times
+    as much where threads count the references to one array.
+    """
+
+    def code(context: Any, builder: ir.IRBuilder, signature: Signature, values: Sequence[ir.Value]) -> ir.Value:
+        if not isinstance(given, types.Array):
+            return impl_ret_borrowed(context, builder, given, values[0])
+        return _of_nobody(context, builder, given, values[0])
+
+    return given(given), code
+
+
+def _of_nobody(context: Any, builder: ir.IRBuilder, kind: types.Array, value: ir.Value) -> ir.Value:
+    array = context.make_array(kind)(context, builder, value)
+    array.meminfo = get_null_value(array.meminfo.type)
+    return array._getvalue()
+
+
 @infer_getattr
 class _LentMembers(AttributeTemplate):  # type: ignore[misc]
     key = Lent
@@ -63,9 +87,4 @@ def _lent_member(context: Any, builder: ir.IRBuilder, lent: Lent, address: ir.Va
     if hasattr(member, "fields"):
         return place
     value = builder.load(place)
-    if not isinstance(member, types.Array):
-        return value
-    array = context.make_array(member)(context, builder, value)
-    # of an array that belongs to nobody, as numba sees it, references are not counted
-    array.meminfo = get_null_value(array.meminfo.type)
-    return array._getvalue()
+    return _of_nobody(context, builder, member, value) if isinstance(member, types.Array) else value

@@ -24,8 +24,11 @@ LOCK_NAME = ".heartcase-lock"
 """Lock file inside a directory, on systems that cannot lock the directory itself."""
 
 
-def atomic_write(path: Path | str, data: bytes | memoryview) -> None:
-    """Put ``data`` into a file: written beside it under another name, flushed to disk, then renamed over it."""
+def atomic_write(path: Path | str, data: bytes | memoryview, *, is_flushed: bool = True) -> None:
+    """Put ``data`` into a file: written beside it under another name, flushed to disk, then renamed over it.
+
+    Not flushed where ``is_flushed`` is false: for what is checked when it is read, and made again where it is damaged.
+    """
     path = Path(path)
     # Nobody can guess the name, so nobody can have put a link there; nor does another thread write under it.
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{secrets.token_hex(4)}-{path.name}")
@@ -34,7 +37,8 @@ def atomic_write(path: Path | str, data: bytes | memoryview) -> None:
         with temporary.open("xb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
+            if is_flushed:
+                os.fsync(file.fileno())
         temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
@@ -42,7 +46,8 @@ def atomic_write(path: Path | str, data: bytes | memoryview) -> None:
         raise
     finally:
         _UNFINISHED.discard(temporary.name)
-    _flush_directory(path.parent)
+    if is_flushed:
+        _flush_directory(path.parent)
 
 
 def _flush_directory(directory: Path) -> None:

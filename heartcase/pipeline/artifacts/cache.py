@@ -95,9 +95,9 @@ class Cache:
         """Keep an output; its content first, then the record that makes it found."""
         content = artifact_to_bytes(artifact)
         entry = CacheEntry(hashlib.sha256(content).hexdigest(), seconds)
-        atomic_write(self._content(stage, key), content)
+        atomic_write(self._content(stage, key), content, is_flushed=False)
         record = {"output_sha256": entry.output_sha256, "seconds": round(seconds, 3)}
-        atomic_write(self._record(stage, key), json.dumps(record).encode())
+        atomic_write(self._record(stage, key), json.dumps(record).encode(), is_flushed=False)
         return entry
 
     def note(self, stage: str, key: str, facts: dict[str, Any]) -> None:

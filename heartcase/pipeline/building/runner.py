@@ -229,7 +229,7 @@ class Runner(UncachedRunner):
     def learn(self, stage: str, seconds: float) -> None:
         """Remember how long a stage took, per million voxels."""
         rates = self._rates() | {stage: round(seconds * 1e6 / max(self.voxel_count, 1), 3)}
-        atomic_write(self.cache.directory / "rates.json", json.dumps(rates, sort_keys=True).encode())
+        atomic_write(self.cache.directory / "rates.json", json.dumps(rates, sort_keys=True).encode(), is_flushed=False)
 
 
 def run_stages(

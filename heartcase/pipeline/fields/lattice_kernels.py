@@ -116,16 +116,20 @@ def _compared(field, low, high, share, slot, lowest, lowest_slot):
 
 
 @called
-def _fields_of_row(layout, has_others, j, k, blocks, matters):
-    """Write which fields matter in the blocks of a row of voxels; says whether all points are read one by one."""
+def _fields_of_row(layout, has_others, j, k, low, matters):
+    """Write which fields matter to the points of a row; says whether all of them are read one by one."""
     matters[:] = False
-    is_alone = True
-    for b in range(len(blocks)):
-        count = layout.block_count[k // BLOCK, j // BLOCK, blocks[b]]
+    is_alone, last = True, -1
+    for n in range(len(low)):
+        block = low[n] // BLOCK
+        if block == last:
+            continue
+        last = block
+        count = layout.block_count[k // BLOCK, j // BLOCK, block]
         if count != ALL_FIELDS:
             is_alone = False
-            for n in range(count):
-                matters[layout.block_fields[k // BLOCK, j // BLOCK, blocks[b], n]] = True
+            for m in range(count):
+                matters[layout.block_fields[k // BLOCK, j // BLOCK, block, m]] = True
         elif not has_others:
             is_alone = False
             matters[:] = True
@@ -172,7 +176,6 @@ def evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_lab
         sz, sy, sx, stored = structures.stack.shape
         low, high, share = np.empty(nx, np.int32), np.empty(nx, np.int32), np.empty(nx, np.float32)
         _places_along(start[0], step[0], sx, low, high, share)
-        blocks = np.unique(low // BLOCK)
         voxels, fields = np.empty(sx * stored, np.float32), np.empty((stored, sx), np.float32)
         state, slots = np.empty((6, nx), np.float32), np.empty((3, nx), np.int32)
         matters, spare = np.empty(stored, np.bool_), scratch(structures)
@@ -182,7 +185,7 @@ def evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_lab
         for j in range(ny):
             y = start[1] + j * step[1]
             voxel_j = place(y, sy)[0]
-            is_alone = _fields_of_row(structures, has_others, voxel_j, voxel_k, blocks, matters)
+            is_alone = _fields_of_row(structures, has_others, voxel_j, voxel_k, low, matters)
             if not is_alone:
                 _interpolated_row(structures, y, z, voxels, fields)
                 _lowest_in_row(structures, matters, fields, low, high, share, state, slots)

@@ -6,6 +6,7 @@ import numpy as np
 
 from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import kernel
+from heartcase.compiling.tuple_addresses import uncounted
 from heartcase.pipeline.fields.layout import ALL_FIELDS, BLOCK
 from heartcase.pipeline.fields.shapes import shape_distance
 from heartcase.pipeline.fields.wall_thickness import table_thickness
@@ -215,6 +216,7 @@ def evaluate_owner(layout, tables, x, y, z, spare):
 
     For kernels. Layout and tables are lent.
     """
+    spare = uncounted(spare)
     nz, ny, nx, stored = layout.stack.shape
     i, i1, fx = place(x, nx)
     j, j1, fy = place(y, ny)

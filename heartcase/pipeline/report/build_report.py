@@ -251,7 +251,7 @@ class ReportInputs:
     septa: Sequence[Mapping[str, Any]] = ()
     """The septa that were grown, judged: :func:`heartcase.pipeline.walls.grown_places.judged_places`."""
     sureness: Callable[[], Sureness | None] = lambda: None
-    """Works out how sure the segmentation is, beside the views of the surface; None where it was not made by watershed."""
+    """Works out how sure the segmentation is, beside the views; None where it was not made by watershed."""
     rules: SettingRules | None = None
     """What the settings are where a recipe leaves them to this scan; found anew when left out."""
 
