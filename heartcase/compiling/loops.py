@@ -13,8 +13,10 @@ import __future__
 
 import ast
 import inspect
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache, cached_property, update_wrapper
 from types import FunctionType
 from typing import Any, cast
@@ -90,7 +92,9 @@ class LoopKernel:
             for part in parts:
                 of_part(part, count, *arguments, **named)
 
-        others = [_threads().submit(work) for _ in range(thread_count - 1)]
+        others = []
+        with suppress(RuntimeError):  # the interpreter ends, and begins no work any more
+            others = [_threads().submit(work) for _ in range(thread_count - 1)]
         try:
             work()
         finally:
@@ -107,6 +111,11 @@ class LoopKernel:
 def _threads() -> ThreadPoolExecutor:
     """The threads that help, for as long as the process lasts: as many as numba would use beside the caller's."""
     return ThreadPoolExecutor(max(1, numba.config.NUMBA_NUM_THREADS - 1), "heartcase-loop")
+
+
+if hasattr(os, "register_at_fork"):
+    # A process that was forked has none of the threads.
+    os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
 def loop_part(function: FunctionType) -> FunctionType:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -191,3 +194,31 @@ def test_every_loop_kernel_of_the_package_can_be_parted():
     assert len(loops) > 40
     for one in loops:
         assert loop_part(one.py_func)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system forks no processes")
+def test_a_forked_process_has_threads_of_its_own():
+    squares = np.zeros(1000)
+    _square(np.arange(1000.0), squares)
+    code = (
+        "import os, numpy as np; from tests.compiling.test_loops import _square, at_threads\n"
+        "values = np.arange(1000.0); out = np.zeros(1000); at_threads(2, lambda: _square(values, out))\n"
+        "child = os.fork()\n"
+        "out[:] = 0; at_threads(2, lambda: _square(values, out)); same = (out == values**2).all()\n"
+        "if not child: os._exit(0 if same else 3)\n"
+        "assert same and os.waitpid(child, 0)[1] == 0\n"
+    )
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=120)
+
+
+def test_a_kernel_that_is_called_when_the_interpreter_ends_works_alone():
+    code = (
+        "import atexit, numpy as np; from tests.compiling.test_loops import _square, at_threads\n"
+        "values = np.arange(1000.0); out = np.zeros(1000)\n"
+        "atexit.register(lambda: print(float(np.abs(out - values**2).max())))\n"
+        "atexit.register(lambda: at_threads(2, lambda: _square(values, out)))\n"
+        "at_threads(2, lambda: _square(values, np.zeros(1000)))\n"
+    )
+    found = subprocess.run([sys.executable, "-c", code], check=True, timeout=120, capture_output=True, text=True)
+    assert found.stdout.strip() == "0.0"
+    assert not found.stderr
