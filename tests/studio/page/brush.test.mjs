@@ -1,4 +1,4 @@
-// Strokes as they are sent: one message a frame at most, never far ahead of the server, always closed.
+// Strokes as they are sent: at once, or one message a frame, never far ahead of the server, always closed.
 
 import assert from "node:assert/strict";
 import test from "node:test";
@@ -51,6 +51,19 @@ test("a stroke: begun at once, its points of a frame together, ended after the l
   assert.deepEqual(sent[2], { do: "end" });
   assert.equal(studio.stroke.value, null);
   assert.equal(brush.isBusy, false);
+});
+
+test("a point is sent at once while nothing is under way, and what came meanwhile with the answer", async () => {
+  const { brush, sent, answer } = scene();
+  brush.begin([0, 0, 0], false);
+  await answer();
+  brush.extend([[2, 0, 0]]);
+  assert.deepEqual(sent[1], { do: "extend", points_mm: [[2, 0, 0]] });
+  brush.extend([[4, 0, 0]]);
+  brush.extend([[6, 0, 0]]);
+  assert.equal(sent.length, 2);
+  await answer();
+  assert.deepEqual(sent[2], { do: "extend", points_mm: [[4, 0, 0], [6, 0, 0]] });
 });
 
 test("where the server is slow points wait, and none is lost", async () => {

@@ -37,7 +37,8 @@ window.unseen = 0;
   let moved = null, cameAt = null, drawnAt = null;
   // a movement whose labels are in the volume, and in no picture yet
   let shown = null;
-  addEventListener("pointermove", (event) => { if (event.buttons && moved === null) moved = event.timeStamp; }, true);
+  const move = "onpointerrawupdate" in window ? "pointerrawupdate" : "pointermove";
+  addEventListener(move, (event) => { if (event.buttons && moved === null) moved = event.timeStamp; }, true);
   const Plain = WebSocket;
   window.WebSocket = class extends Plain {
     constructor(...all) {

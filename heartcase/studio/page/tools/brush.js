@@ -1,6 +1,6 @@
 /**
- * Strokes: gathered while the pointer is down, sent once a frame, and never more ahead of the server than it keeps up
- * with. What they change comes back as labels; the page paints none by itself.
+ * Strokes: sent at once while the server has nothing else to do, else gathered and sent once a frame, and never more
+ * ahead of the server than it keeps up with. What they change comes back as labels; the page paints none by itself.
  */
 
 import { Lost, Refused } from "../shared/connection.js";
@@ -115,6 +115,10 @@ export class Brush {
     const stroke = studio.stroke.value;
     if (stroke) studio.stroke.value = { ...stroke, points: [...stroke.points, ...fresh] };
     if (waits !== null || this.#isAsked) return;
+    if (this.#sent === 0) {
+      this.#flush();
+      return;
+    }
     this.#isAsked = true;
     this.nextFrame(() => {
       this.#isAsked = false;

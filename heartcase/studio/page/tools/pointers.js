@@ -7,7 +7,7 @@
 /** @typedef {import("./brush.js").Brush} Brush */
 /** @typedef {import("./measures.js").Measures} Measures */
 /** @typedef {{x: number, y: number}} Point */
-/** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "shape" | "fingers" | "turn", view: SliceView, pointer: number, x: number, y: number, moved: boolean}} Drag */
+/** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "shape" | "fingers" | "turn", view: SliceView, pointer: number, x: number, y: number, moved: boolean, isRaw?: boolean}} Drag */
 
 import { draggedWindow } from "../pictures/geometry.js";
 import { handlesOf, isOnHandle } from "../pictures/planes.js";
@@ -54,6 +54,8 @@ export class Pointers {
     const { surface } = view;
     surface.addEventListener("pointerdown", (event) => this.#down(view, event));
     surface.addEventListener("pointermove", (event) => this.#move(view, event));
+    // Movements as they come: those above wait for the browser's next picture.
+    surface.addEventListener("pointerrawupdate", (event) => this.#paintOn(/** @type {PointerEvent} */ (event)));
     surface.addEventListener("pointerup", (event) => this.#up(event));
     surface.addEventListener("pointercancel", (event) => this.#up(event));
     surface.addEventListener("lostpointercapture", (event) => this.#up(event));
@@ -171,11 +173,7 @@ export class Pointers {
     }
     this.studio.hover.value = { view: over.name, mm: over.toMm(at.x, at.y) };
     if (drag.kind === "paint") {
-      const events = event.getCoalescedEvents?.() ?? [];
-      this.brush.extend((events.length ? events : [event]).map((one) => {
-        const { x, y } = positionOf(over, one);
-        return over.toMm(x, y);
-      }));
+      if (!drag.isRaw) this.#extend(over, event);
       return;
     }
     if (drag.kind === "shape") {
@@ -196,6 +194,23 @@ export class Pointers {
     if (drag.kind === "turn") this.#turnPlanes(over, drag, at);
     drag.x = at.x;
     drag.y = at.y;
+  }
+
+  /** A stroke goes on before the browser's next picture. @param {PointerEvent} event */
+  #paintOn(event) {
+    const drag = this.#drag;
+    if (drag?.kind !== "paint" || event.pointerId !== drag.pointer || this.#pending) return;
+    drag.isRaw = true;
+    this.#extend(drag.view, event);
+  }
+
+  /** @param {SliceView} view @param {PointerEvent} event */
+  #extend(view, event) {
+    const events = event.getCoalescedEvents?.() ?? [];
+    this.brush.extend((events.length ? events : [event]).map((one) => {
+      const { x, y } = positionOf(view, one);
+      return view.toMm(x, y);
+    }));
   }
 
   /** @param {SliceView} view @param {PointerEvent} event */
