@@ -87,8 +87,8 @@ def compiled_ahead(
     """Compile kernels in other processes while the body runs; they are ended with it, however it ends.
 
     What was compiled before, from this code for this processor, is noted in the cache and left out; where nothing is
-    left, no process is started, and a thread loads the kernels before they are called. A process that cannot be
-    started, or fails, is done without: what it would have compiled is compiled when it is called.
+    left, no process is started. A process that cannot be started, or fails, is done without: what it would have
+    compiled is compiled when it is called.
 
     Parameters
     ----------
@@ -108,8 +108,7 @@ def compiled_ahead(
     noted = _read(note)
     left = [(one, line) for one, line in zip(wanted, _lines_of(wanted), strict=True) if line not in noted]
     if not left:
-        with _loaded_ahead(wanted):
-            yield
+        yield
         return
     with _temporary_folder(note.parent) as unfinished:
         team = _ProcessTeam([one for one, _ in left], processes, told, unfinished, is_behind=is_behind)
@@ -119,27 +118,6 @@ def compiled_ahead(
         finally:
             team.end()
             _add(note, [line for one, line in left if one in team.done])
-
-
-@contextlib.contextmanager
-def _loaded_ahead(wanted: Sequence[Called]) -> Iterator[None]:
-    """Load kernels from the cache in a thread while the body runs, which often leaves a core free."""
-    ended = threading.Event()
-
-    def load() -> None:
-        for one in wanted:
-            if ended.is_set():
-                return
-            with contextlib.suppress(Exception):  # who calls the kernel is told of it
-                _compile(one.module, one.name, one.types)
-
-    thread = threading.Thread(target=load, name="heartcase-load", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 def _compile(module: str, name: str, types: Sequence[Any]) -> None:

@@ -110,7 +110,7 @@ def write_unfinished_to(folder: str) -> None:
 
 
 _writable: set[str] = set()
-"""Folders of the cache that were found to be there and writable."""
+"""Folders of the cache that were found to be writable."""
 
 
 def _looking_once(locator: Any) -> Any:
@@ -119,9 +119,11 @@ def _looking_once(locator: Any) -> Any:
     class Once(locator):  # type: ignore[misc]
         def ensure_cache_path(self) -> None:
             path = self.get_cache_path()
-            if path not in _writable:
-                super().ensure_cache_path()
-                _writable.add(path)
+            if path in _writable:
+                os.makedirs(path, exist_ok=True)  # somebody may have removed it
+                return
+            super().ensure_cache_path()
+            _writable.add(path)
 
     return Once
 

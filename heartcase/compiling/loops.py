@@ -15,7 +15,7 @@ import ast
 import inspect
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cache, cached_property, update_wrapper
 from types import FunctionType
@@ -46,7 +46,8 @@ class LoopKernel:
     Parameters
     ----------
     function
-        Of a module. It only assigns names and then runs one loop over ``prange``, in which none of these is set.
+        Of a module. It only assigns names and then runs one loop over ``prange``, in which neither these nor
+        its arguments are set.
     make
         Makes the kernel of one part, from :func:`loop_part`.
     """
@@ -92,19 +93,32 @@ class LoopKernel:
             for part in parts:
                 of_part(part, count, *arguments, **named)
 
-        others = []
-        with suppress(RuntimeError):  # the interpreter ends, and begins no work any more
-            others = [_threads().submit(work) for _ in range(thread_count - 1)]
+        others: list[Future[None]] = []
         try:
+            with suppress(RuntimeError):  # no thread can be had, or the interpreter ends
+                for _ in range(thread_count - 1):
+                    others.append(_threads().submit(work))
             work()
         finally:
             # After an error here the others end with the parts that they are at.
             for _ in parts:
                 pass
             # Threads that others keep busy are not waited for: what they would have done is done.
-            errors = [other.exception() for other in others if not other.cancel()]
-        for error in filter(None, errors):
+            errors = _errors_of([other for other in others if not other.cancel()])
+        for error in errors:
             raise error
+
+
+def _errors_of(begun: list[Future[None]]) -> list[BaseException]:
+    """What was raised in threads, once all have ended, even if this one is interrupted meanwhile."""
+    errors: list[BaseException] = []
+    for other in begun:
+        while not other.done():
+            try:
+                wait([other])
+            except KeyboardInterrupt as interrupt:
+                errors.append(interrupt)
+    return errors + [error for other in begun if (error := other.exception()) is not None]
 
 
 @cache
@@ -178,7 +192,8 @@ def _loop_of(definition: ast.FunctionDef) -> ast.For | None:
         return None
     is_plain = all(isinstance(one, ast.Assign) for one in before)
     returns = any(isinstance(node, (ast.Return, ast.Yield, ast.YieldFrom)) for node in nodes)
-    return loop if is_plain and not returns and not _names_set(of_before) & _names_set(within) else None
+    known = _names_set(of_before) | {one.arg for one in definition.args.args}
+    return loop if is_plain and not returns and not known & _names_set(within) else None
 
 
 def _is_prange(called: ast.expr) -> bool:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numba
@@ -130,6 +132,50 @@ def test_a_caller_goes_on_where_all_helpers_are_busy(monkeypatch):
         free.set()
 
 
+def test_parts_that_a_thread_began_are_waited_for_where_no_other_can_be_had(monkeypatch):
+    done = []
+
+    class Few(ThreadPoolExecutor):
+        def submit(self, *given):
+            if done or self._threads:
+                raise RuntimeError("can't start new thread")
+            return super().submit(*given)
+
+    def part(number, count, *_):
+        if threading.current_thread() is not threading.main_thread():
+            time.sleep(0.2)
+        done.append(number)
+
+    made = LoopKernel(_square.py_func, lambda _: part)
+    with Few(2) as pool:
+        monkeypatch.setattr("heartcase.compiling.loops._threads", lambda: pool)
+        monkeypatch.setattr(numba, "get_num_threads", lambda: 3)
+        made(np.zeros(4), np.zeros(4))
+    assert sorted(done) == list(range(3 * PARTS_A_THREAD))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX does")
+def test_an_interrupted_loop_ends_when_no_part_runs_any_more(monkeypatch):
+    begun, ended = [], []
+
+    def part(number, *_):
+        begun.append(number)
+        if threading.current_thread() is threading.main_thread():
+            time.sleep(0.1)
+        else:
+            time.sleep(0.8)
+        ended.append(number)
+
+    made = LoopKernel(_square.py_func, lambda _: part)
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        made(np.zeros(4), np.zeros(4))
+    count = len(ended)
+    time.sleep(0.9)
+    assert len(ended) == count
+
+
 def test_one_thread_takes_the_loop_whole_and_two_in_parts(monkeypatch):
     taken = []
     made = LoopKernel(_square.py_func, lambda part: lambda *given: taken.append(given[:2]))
@@ -153,6 +199,11 @@ def _adds_up(values):
         total += values[n]
 
 
+def _carries(values, total):
+    for n in numba.prange(len(values)):
+        total += values[n]
+
+
 def _two_loops(values):
     for n in numba.prange(len(values)):
         values[n] += 1
@@ -172,7 +223,7 @@ def _by_steps(values):
         values[n] += 1
 
 
-@pytest.mark.parametrize("function", [_returns, _adds_up, _two_loops, _branches, _by_steps])
+@pytest.mark.parametrize("function", [_returns, _adds_up, _carries, _two_loops, _branches, _by_steps])
 def test_other_functions_are_refused(function):
     with pytest.raises(ValueError, match=f"{function.__name__} is no loop_kernel"):
         loop_part(function)

@@ -137,6 +137,16 @@ def _fields_of_row(layout, has_others, j, k, low, matters):
 
 
 @called
+def _is_bare(layout):
+    """Whether no tissue, or no background, is stored: then what is lowest may be what only a reshaping makes."""
+    has_tissue, has_background = len(layout.wall_slot) > 0, False
+    for slot in layout.stored_slot:
+        has_tissue |= slot < layout.tissue_count
+        has_background |= slot == layout.background
+    return not (has_tissue and has_background)
+
+
+@called
 def _may_change(layout, x, y, z, tissue, void, cavity):
     """Whether a reshaping may change the lowest tissue and void at a point, given by its index, or how low they are.
 
@@ -154,7 +164,9 @@ def _may_change(layout, x, y, z, tissue, void, cavity):
         wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
         points = layout.shape_points[layout.shape_first[n] : layout.shape_first[n + 1]]
         shape = np.float32(shape_distance(layout.shape_kind[n], points, layout.shape_radius[n], wx, wy, wz))
-        most, least = void, min(tissue, cavity)
+        most, least = void, min(tissue, void)
+        if layout.target[n, layout.background] and not layout.source[n, layout.background]:
+            least = min(tissue, cavity)
         for s in range(len(layout.labels)):
             if layout.target[n, s] and s != layout.background:
                 most, least = max(tissue, void), min(tissue, void)
@@ -179,7 +191,7 @@ def evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_lab
         voxels, fields = np.empty(sx * stored, np.float32), np.empty((stored, sx), np.float32)
         state, slots = np.empty((6, nx), np.float32), np.empty((3, nx), np.int32)
         matters, spare = np.empty(stored, np.bool_), scratch(structures)
-        has_others = len(structures.septum_slot) + len(walls.wall) > 0
+        has_others = len(structures.septum_slot) + len(walls.wall) > 0 or _is_bare(structures)
         z = start[2] + k * step[2]
         voxel_k = place(z, sz)[0]
         for j in range(ny):

@@ -1,4 +1,4 @@
-"""Parallel work: two functions at the same time, and a kernel's loop spread evenly over all cores."""
+"""Parallel work: two functions at the same time, and in which order a kernel's loop takes what it works on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 import numba
-import numpy as np
 
 from heartcase.compiling.kernel import kernel
 
@@ -18,12 +17,9 @@ __all__ = ["all_side_by_side", "every_other", "in_one_thread", "may_share", "sid
 A = TypeVar("A")
 B = TypeVar("B")
 
-_SAFE_LAYERS = ("tbb", "omp")
-"""Threading layers of numba that let two threads run parallel kernels at the same time; the third one aborts."""
-
 
 def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]:
-    """Do two pieces of work, at the same time where there are threads for it and numba's threading layer allows.
+    """Do two pieces of work, at the same time where there are threads for it.
 
     Much of what is neither a kernel nor waits for one runs in one thread only, so even with two cores there is room.
 
@@ -65,7 +61,7 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 def in_one_thread() -> Iterator[None]:
     """Have the kernels and pools that are called in this thread use no other one meanwhile.
 
-    Little work is done sooner so where others use the cores too: threads that share a loop wait for the last of them.
+    Little work is done sooner so where others use the cores too: who shares a loop waits for those that take part.
     """
     before = numba.get_num_threads()
     numba.set_num_threads(1)
@@ -114,24 +110,14 @@ def _next_of(waiting: deque[A]) -> A | None:
 
 def may_share() -> bool:
     """Whether :func:`side_by_side` really does two things at the same time here."""
-    if numba.get_num_threads() < 2:
-        return False
-    _start_threads(np.zeros(2))
-    return str(numba.threading_layer()) in _SAFE_LAYERS
-
-
-@kernel(parallel=True)
-def _start_threads(values):
-    """The threading layer is known only after the first parallel kernel."""
-    for n in numba.prange(len(values)):
-        values[n] += 1.0
+    return int(numba.get_num_threads()) > 1
 
 
 @kernel(inline="always")
 def every_other(number, count):
     """The chunk to take as the ``number``-th of ``count``: first the even ones, then the odd ones.
 
-    Threads share a kernel's loop in a few long stretches, and what lies side by side is often as hard as each other.
+    Threads take a few parts of a loop, and what lies side by side is often as hard as each other.
     """
     even = (count + 1) // 2
     return 2 * number if number < even else 2 * (number - even) + 1

@@ -82,7 +82,7 @@ class CalledKernels:
 
 
 def main(folder: Path, output: Path) -> None:
-    numba.config.THREADING_LAYER = "workqueue"  # which lets no two stages run at the same time
+    numba.set_num_threads(1)  # so that no two stages run at the same time
     from heartcase.library.scans import ensure_scan
     from heartcase.pipeline.building.run import build_case
     from heartcase.schemas.recipe.recipe import load_recipe

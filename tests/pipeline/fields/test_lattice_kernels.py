@@ -1,4 +1,4 @@
-"""A lattice read row by row has what each of its points has by itself, to the last bit."""
+"""A lattice read row by row has what each of its points has by itself: the same numbers."""
 
 import dataclasses
 
@@ -19,6 +19,7 @@ from heartcase.pipeline.fields.reader import (
 )
 from heartcase.pipeline.fields.wall_thickness import ThicknessTable
 from heartcase.schemas.geometry import Geometry
+from tests.pipeline.analytic_structures import ball, lattice, structures, without
 from tests.pipeline.random_phantoms import random_heart
 from tests.pipeline.walls.test_septa import halves, thick
 
@@ -41,7 +42,9 @@ def reshaped(structures, random, count):
             points += [middle + radius_mm * side, middle + 0.5 * radius_mm * np.cross(along, side)]
         mixed = list(random.permutation(names))
         sources, targets = mixed[: random.integers(1, 3)], mixed[3 : 3 + random.integers(1, 3)]
-        if random.random() < 0.4:
+        if random.random() < 0.1:
+            targets = []
+        elif random.random() < 0.4:
             targets = ["background"] if "background" in names and "background" not in sources else targets
         points_mm = tuple(tuple(map(float, point)) for point in points)
         shapes.append(Reshaping(kind, points_mm, radius_mm, tuple(map(str, sources)), tuple(map(str, targets))))
@@ -98,9 +101,28 @@ def test_septa_and_walls_that_vary_are_read_point_by_point():
     septal = halves(walls=thick())
     line = ThicknessTable(1, "centreline", ((0.0, 0.0, -10.0), (0.0, 0.0, 10.0)), (1.0, 3.0))
     assert septal.grown_septa
-    for structures in (septal, dataclasses.replace(septal, septa=(), thickness_tables=(line,))):
+    for one in (septal, dataclasses.replace(septal, septa=(), thickness_tables=(line,))):
         for shapes in (0, 1, 3):
-            assert_same(reshaped(structures, random, shapes), any_lattice(structures.geometry, random))
+            assert_same(reshaped(one, random, shapes), any_lattice(one.geometry, random))
+
+
+@pytest.mark.parametrize("makes_tissue", [False, True])
+def test_where_no_tissue_is_stored_a_reshaping_may_make_the_only_one(makes_tissue):
+    lumen = structures({1: ball(8.0)}, lattice(12.0))
+    random = np.random.default_rng(3)
+    shape = Reshaping("strokes", ((0.0, 0.0, 0.0), (6.0, 0.0, 0.0)), 3.0, ("left",), ("wall",))
+    one = dataclasses.replace(lumen, reshapings=(shape,) if makes_tissue else (), band_mm=4.0)
+    for _ in range(3):
+        assert_same(one, any_lattice(one.geometry, random))
+    assert_same(one, one.geometry)
+
+
+def test_a_reshaping_may_take_from_the_background_and_give_to_nobody():
+    one = structures({1: ball(7.0), 3: without(ball(9.0), ball(7.0))}, lattice(14.0))
+    shape = Reshaping("strokes", ((9.0, 0.0, 0.0), (12.0, 0.0, 0.0)), 4.0, ("background",), ())
+    one = dataclasses.replace(one, reshapings=(shape,), band_mm=4.0)
+    assert_same(one, one.geometry)
+    assert_same(one, one.geometry.refined(2))
 
 
 def test_points_are_ones_own_at_world_places():
