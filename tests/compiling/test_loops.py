@@ -168,9 +168,14 @@ def test_an_interrupted_loop_ends_when_no_part_runs_any_more(monkeypatch):
 
     made = LoopKernel(_square.py_func, lambda _: part)
     monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
-    threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
-        made(np.zeros(4), np.zeros(4))
+    # who runs the tests may have signals ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            made(np.zeros(4), np.zeros(4))
+    finally:
+        signal.signal(signal.SIGINT, before)
     count = len(ended)
     time.sleep(0.9)
     assert len(ended) == count
