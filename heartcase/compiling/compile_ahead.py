@@ -120,13 +120,6 @@ def compiled_ahead(
             _add(note, [line for one, line in left if one in team.done])
 
 
-def _compile(module: str, name: str, types: Sequence[Any]) -> None:
-    """Compile a kernel, or load it from the cache."""
-    from heartcase.compiling.signatures import from_json
-
-    getattr(importlib.import_module(module), name).compile(tuple(from_json(one) for one in types))
-
-
 @contextlib.contextmanager
 def _temporary_folder(cache: Path) -> Iterator[str]:
     """A folder in numba's cache for files that are being written; what killed processes left there goes with it.
@@ -278,6 +271,7 @@ def serve(unfinished: str, niceness: int = 0) -> None:
     if niceness and hasattr(os, "nice"):
         os.nice(niceness)
     from heartcase.compiling.kernel import write_unfinished_to
+    from heartcase.compiling.signatures import from_json
 
     write_unfinished_to(unfinished)
 
@@ -286,7 +280,8 @@ def serve(unfinished: str, niceness: int = 0) -> None:
     for line in sys.stdin:
         request = json.loads(line)
         try:
-            _compile(request["module"], request["name"], request["types"])
+            kernel = getattr(importlib.import_module(request["module"]), request["name"])
+            kernel.compile(tuple(from_json(one) for one in request["types"]))
             answer = "done"
         except Exception:  # of whatever kind: who calls the kernel is told of it
             answer = "failed"

@@ -2,7 +2,7 @@
 
 numba compiles such a kernel twice, as a whole and as its loop's body, and gives each thread a fixed share of it. Here
 the loop's bounds become those of a part, and threads take the next part when they are done with one. So compiling takes
-a third less, and a thread that is held up by something else holds up nobody.
+about half as long, and a thread that is held up by something else holds up nobody.
 
 As in numba's own parallel loops, no references to the arrays are counted: the caller keeps them. Where a loop hands
 them on at each turn, all threads counting in the same places took twice as long as the work.
@@ -31,6 +31,8 @@ PARTS_A_THREAD = 4
 """Parts of a loop for each thread: the last of them ends soon after the others."""
 PART_TYPES = (numba.int64, numba.int64)
 """Types of the arguments that say which part of how many."""
+_ANNOTATIONS = __future__.annotations.compiler_flag
+"""Types of arguments are text in what is made here as they are in our modules."""
 _PART = """
 def part(part_, parts_):
     begin_ = begin
@@ -175,9 +177,6 @@ def loop_part(function: FunctionType) -> FunctionType:
     assert isinstance(part, FunctionType)
     part.__defaults__, part.__doc__ = function.__defaults__, function.__doc__
     return part
-
-
-_ANNOTATIONS = __future__.annotations.compiler_flag
 
 
 def _loop_of(definition: ast.FunctionDef) -> ast.For | None:

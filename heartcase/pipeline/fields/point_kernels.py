@@ -11,7 +11,7 @@ from heartcase.pipeline.fields.layout import ALL_FIELDS, BLOCK
 from heartcase.pipeline.fields.shapes import shape_distance
 from heartcase.pipeline.fields.wall_thickness import table_thickness
 
-__all__ = ["between", "evaluate_owner", "place", "scratch"]
+__all__ = ["between", "distance_to_shape", "evaluate_owner", "is_in_reach", "place", "scratch"]
 
 NOWHERE_MM = 1e4
 """Field of a label that only a reshaping makes, before it does."""
@@ -26,18 +26,42 @@ def place(x, count):
 
 
 @copied
+def _to_world(layout, x, y, z):
+    m = layout.to_world
+    return (
+        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3],
+        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3],
+        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3],
+    )
+
+
+@copied
+def is_in_reach(layout, n, x, y, z):
+    """Whether a point, given by its index, lies in the box that a reshaping reaches."""
+    low, high = layout.shape_low, layout.shape_high
+    if x < low[n, 0] or y < low[n, 1] or z < low[n, 2]:
+        return False
+    return x <= high[n, 0] and y <= high[n, 1] and z <= high[n, 2]
+
+
+@copied
+def distance_to_shape(layout, n, x, y, z):
+    """Signed distance of a point, given by its index, to the shape of a reshaping, mm."""
+    wx, wy, wz = _to_world(layout, x, y, z)
+    points = layout.shape_points[layout.shape_first[n] : layout.shape_first[n + 1]]
+    return np.float32(shape_distance(layout.shape_kind[n], points, layout.shape_radius[n], wx, wy, wz))
+
+
+@copied
 def _vary(layout, tables, x, y, z, v, thick, scale):
     """Thickness at a point, given by its index, of the walls that have a table, and what makes a distance of it."""
-    m = layout.to_world
     for n in range(len(tables.wall)):
         w = tables.wall[n]
         cavity = v[layout.wall_cavity[w]]
         thick[w] = layout.wall_mm[w]
         scale[w] = np.float32(1.0)
         if tables.nearest_mm <= cavity <= tables.farthest_mm:
-            wx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-            wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-            wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            wx, wy, wz = _to_world(layout, x, y, z)
             value, slope = table_thickness(tables, n, wx, wy, wz)
             thick[w] = np.float32(value)
             scale[w] = np.float32(1.0 / np.sqrt(1.0 + slope * slope))
@@ -106,17 +130,10 @@ def _grow_septa(layout, raw, v):
 @copied
 def _reshape(layout, x, y, z, v):
     """Carry out the reshapings at a point, given by its index."""
-    m = layout.to_world
     for n in range(len(layout.shape_kind)):
-        if x < layout.shape_low[n, 0] or y < layout.shape_low[n, 1] or z < layout.shape_low[n, 2]:
+        if not is_in_reach(layout, n, x, y, z):
             continue
-        if x > layout.shape_high[n, 0] or y > layout.shape_high[n, 1] or z > layout.shape_high[n, 2]:
-            continue
-        wx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-        wy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-        wz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-        points = layout.shape_points[layout.shape_first[n] : layout.shape_first[n + 1]]
-        shape = np.float32(shape_distance(layout.shape_kind[n], points, layout.shape_radius[n], wx, wy, wz))
+        shape = distance_to_shape(layout, n, x, y, z)
         source = layout.source[n]
         target = layout.target[n]
         taken = np.float32(np.inf)
