@@ -171,6 +171,33 @@ def test_steps_of_every_law_agree(model, law, seed, has_probes):
     np.testing.assert_array_equal(ends[0][model.node_is_fixed], 0.0)
 
 
+@pytest.mark.parametrize("resident", [True, False])
+def test_corners_that_get_flat_on_the_way_are_found_as_on_the_cpu(resident):
+    """A node that is thrown into its cells: for some steps springs act alone, then cells, then springs again."""
+    model = block(2, 2, 2, fix_base=True)
+    top = int(np.flatnonzero((model.node_index == (1, 1, 2)).all(axis=1))[0])
+    velocity = np.zeros((model.node_count, 3), np.float32)
+    velocity[top, 2] = -2.0
+    verlet = Verlet(step=0.15, damping=0.3)
+    engine, cpu = CudaEngine(model, resident=resident), make_engine(model, "cpu")
+    launches = []
+    alone, with_cells = engine._advance, engine._advance_with_cells
+    engine._advance = lambda *given: (launches.append("springs"), alone(*given))
+    engine._advance_with_cells = lambda *given: (launches.append("cells"), with_cells(*given))
+    for each in (engine, cpu):
+        each.load(State(np.zeros_like(velocity), velocity))
+    ends = []
+    for count in (50, 40):
+        for each in (engine, cpu):
+            each.advance(count, verlet)
+            ends.append(each.read())
+    assert launches[:3] == ["springs", "cells", "springs"]
+    assert launches[-1] == "springs"
+    assert ends[2].step_count == 90
+    for one, other in (ends[:2], ends[2:]):
+        np.testing.assert_allclose(one.displacement, other.displacement, atol=90 * EPS)
+
+
 @given(st.integers(1, 3_000_000), st.integers(1, 300), st.sampled_from([64, 256, 768]))
 def test_a_launch_takes_every_node_once(node_count, block_count, thread_count):
     launch = plan_launch(node_count, block_count, thread_count)

@@ -29,8 +29,6 @@ __all__ = ["LOG_WIDTH", "HapticServo", "run_loop"]
 
 LOG_WIDTH = 4
 """Numbers of an update in a log: time, number of the tissue's state, time of that state, part that was put out."""
-_SPIN_S, _SPIN_HURRIED_S = 1.5e-4, 5e-5
-"""The last part of a wait is spent looking at the clock: a sleep ends late by about this, s; less with a priority."""
 _START_S = 60.0
 """Longest time for the process to start, s."""
 
@@ -123,10 +121,11 @@ def run_loop(
     settings: ServoSettings,
     is_ended: Callable[[], bool],
     log: Float64 | None = None,
-    *,
-    spin_s: float = _SPIN_S,
 ) -> None:
     """Read, reckon and write until it is ended; then all force is taken away, whatever happened.
+
+    An update is begun :attr:`ServoSettings.ahead_s` before it is due, and what it put out is written when it is due: a
+    sleep that ends late, and caches that the simulation has filled, are made up for by then.
 
     Parameters
     ----------
@@ -140,8 +139,6 @@ def run_loop(
         Asked once an update.
     log
         Where times of the first device's updates go, shape (count, 4).
-    spin_s
-        The last part of each wait, which is spent looking at the clock, s.
     """
     began_s = time.perf_counter()
     try:
@@ -149,19 +146,24 @@ def run_loop(
         states = [first_state(began_s, reading) for reading in readings]
         due_s, number = began_s, 0
         while not is_ended():
-            due_s = _wait_until(due_s + settings.period_s, settings.period_s, spin_s)
+            due_s = _wait_for_begin(due_s + settings.period_s, settings)
+            numbers, finished_s = [], 0.0
             for place, (device, channel) in enumerate(zip(devices, channels, strict=True)):
                 now_s = time.perf_counter()
                 reading = device.read(now_s - began_s)
                 sample_number, tissue = channel.tissue()
-                state = servo_update(states[place], now_s, reading, tissue, settings)
+                states[place] = servo_update(states[place], now_s, reading, tissue, settings)
+                channel.publish_tool(states[place], reading.buttons, sample_number)
+                numbers.append(sample_number)
+                if tissue is not None and place == 0:
+                    finished_s = tissue.finished_s
+            # A sleep would end late.
+            while time.perf_counter() < due_s:
+                pass
+            for device, state in zip(devices, states, strict=True):
                 device.write(state.load[0], state.load[1])
-                if log is not None and place == 0 and number < len(log):
-                    written_s = time.perf_counter()
-                    finished_s = tissue.finished_s if tissue is not None else 0.0
-                    log[number] = written_s, sample_number, finished_s, state.part
-                channel.publish_tool(state, reading.buttons, sample_number)
-                states[place] = state
+            if log is not None and number < len(log):
+                log[number] = time.perf_counter(), numbers[0], finished_s, states[0].part
             number += 1
     finally:
         for device in devices:
@@ -169,14 +171,13 @@ def run_loop(
             device.close()
 
 
-def _wait_until(due_s: float, period_s: float, spin_s: float) -> float:
-    """Wait; when the next update is due from now on: one that was missed by a whole period is left out."""
+def _wait_for_begin(due_s: float, settings: ServoSettings) -> float:
+    """Sleep until an update is to be begun; when it is due: one that was missed by a whole period is left out."""
+    left_s = due_s - settings.ahead_s - time.perf_counter()
+    if left_s > 0.0:
+        time.sleep(left_s)
     now_s = time.perf_counter()
-    if due_s - now_s > spin_s:
-        time.sleep(due_s - now_s - spin_s)
-    while (now_s := time.perf_counter()) < due_s:
-        pass
-    return due_s if now_s < due_s + period_s else now_s
+    return due_s if now_s < due_s + settings.period_s else now_s
 
 
 def _serve(
@@ -199,7 +200,7 @@ def _serve(
         tells.send(str(error))
         return
     tells.send("")
-    spin_s = _SPIN_HURRIED_S if _hurry() else _SPIN_S
+    _hurry()
     parent = multiprocessing.parent_process()
     parent_number = parent.pid if parent is not None else None
 
@@ -209,20 +210,16 @@ def _serve(
 
     rows = np.frombuffer(log, dtype=np.float64).reshape(-1, LOG_WIDTH)
     try:
-        run_loop(opened, [Channel(memory) for memory in memories], settings, is_ended, rows, spin_s=spin_s)
+        run_loop(opened, [Channel(memory) for memory in memories], settings, is_ended, rows)
     except Exception as error:
         # A device's own text may say anything: its kind must do.
         tells.send(f"a device failed with {type(error).__name__}")
 
 
-def _hurry() -> bool:
-    """Never stop to look for garbage, of which there is next to none; whether the system wakes us before others."""
+def _hurry() -> None:
+    """Never stop to look for garbage, of which there is next to none; be woken before others where that is allowed."""
     gc.collect()
     gc.disable()
-    if not hasattr(os, "sched_setscheduler"):
-        return False
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
-    except OSError:
-        return False
-    return True
+    if hasattr(os, "sched_setscheduler"):
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))

@@ -4,10 +4,12 @@ The tool in the tissue is a small mass behind a spring and a damper from the han
 Stanley and Brown, IROS 1995). The mass is such that it is critically damped: m = K / w^2, B = 2 K / w with the
 bandwidth w. Two limits follow.
 
-*Between hand and coupling.* A spring K with a damper B, sampled with the period T and held, gives out no energy at the
-frequency w where the device's own damping b is at least K T / 2 - B cos(w T) (Colgate and Schenkel, J. Robotic Systems
-14, 1997). So at any frequency b > K T / 2 + B is enough (:attr:`ServoSettings.device_damping_n_s_m`), and below
-:attr:`ServoSettings.passive_below_hz` nothing is asked of the device.
+*Between hand and coupling.* A spring K with a damper B, sampled with the period T and held, whose force comes a time t
+after its sample, gives out no energy at the frequency w where the device's own damping b is at least
+K T / 2 sin(w T / 2 + w t) / sin(w T / 2) - B cos(w T + w t) (Colgate and Schenkel, J. Robotic Systems 14, 1997, with
+their H times exp(-i w t)). So at any frequency b > K (T / 2 + t) + B is enough
+(:attr:`ServoSettings.device_damping_n_s_m`), and below :attr:`ServoSettings.passive_below_hz` nothing is asked of the
+device.
 
 *Between coupling and tissue*, whose forces come late. With the tissue's stiffness K_t, of which K_l is reckoned with at
 once, the critically damped tool is stable at any delay where K_t < K + 2 K_l: the loop's gain
@@ -18,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from math import acos, pi
+from math import cos, pi, sin
 
 import numpy as np
 
@@ -43,6 +45,8 @@ class ServoSettings:
 
     rate_hz: float = 1000.0
     """Updates of the force, 1/s."""
+    ahead_s: float = 0.0003
+    """t: time before an update is due at which it is begun, s. A force that is ready waits: updates come evenly."""
     stiffness_n_m: float = 400.0
     """K: stiffness of the virtual coupling, N/m."""
     turning_stiffness_n_mm: float = 500.0
@@ -77,8 +81,11 @@ class ServoSettings:
             if not 0.0 < getattr(self, field.name) < np.inf
         ]
         if not problems:
-            if not self.full_for_s < self.none_from_s <= STALL_S - self.period_s:
-                limit = f"{STALL_S - self.period_s:.4g}"
+            if self.ahead_s > 0.5 * self.period_s:
+                problems.append(Problem("ahead_s", f"must be at most half of the period of {self.period_s:.4g} s"))
+            latest_s = STALL_S - self.period_s - self.ahead_s
+            if not self.full_for_s < self.none_from_s <= latest_s:
+                limit = f"{latest_s:.4g}"
                 problems.append(Problem("none_from_s", f"must be above full_for_s and at most {limit} s"))
             if self.bandwidth_hz > self.rate_hz / 4.0:
                 problems.append(Problem("bandwidth_hz", f"must be at most a quarter of the rate of {self.rate_hz:g}/s"))
@@ -128,11 +135,22 @@ class ServoSettings:
 
     @property
     def device_damping_n_s_m(self) -> float:
-        """Damping of its own, N s/m, with which a device is passive at any frequency: K T / 2 + B."""
-        return 0.5 * self.stiffness_n_m * self.period_s + float(self.damping[0, 0]) * 1e3
+        """Damping of its own, N s/m, with which a device is passive at any frequency: K (T / 2 + t) + B."""
+        return self.stiffness_n_m * (0.5 * self.period_s + self.ahead_s) + float(self.damping[0, 0]) * 1e3
 
     @property
     def passive_below_hz(self) -> float:
         """Frequency up to which the coupling gives out no energy with a device that has no damping, 1/s; 0 if none."""
-        ratio = 0.5 * self.stiffness_n_m * self.period_s / (float(self.damping[0, 0]) * 1e3)
-        return acos(ratio) / (2.0 * pi * self.period_s) if ratio < 1.0 else 0.0
+        lag, damping = 1.0 + 2.0 * self.ahead_s / self.period_s, float(self.damping[0, 0]) * 1e3
+        spring = 0.5 * self.stiffness_n_m * self.period_s
+
+        def needed(half: float) -> float:
+            return spring * sin(lag * half) / sin(half) - damping * cos((1.0 + lag) * half)
+
+        low, high = 1e-6, pi / 2.0
+        if needed(low) >= 0.0:
+            return 0.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if needed(middle) < 0.0 else (low, middle)
+        return low / (pi * self.period_s)

@@ -20,7 +20,7 @@ from typing import Literal, get_args
 
 from heartcase.schemas.errors import Problem, SimulationError
 
-__all__ = ["LOOK_BELOW", "RATIO_MAX", "RATIO_MIN", "ForceLaw", "LawName"]
+__all__ = ["LOOK_BELOW", "LOOK_STEPS", "RATIO_MAX", "RATIO_MIN", "ForceLaw", "LawName"]
 
 LawName = Literal["springs", "element"]
 
@@ -30,6 +30,8 @@ RATIO_MAX = 0.49
 """Poisson's ratio up to which a step is not too short to be of use."""
 LOOK_BELOW = 0.6
 """Volume of a corner from which on nothing is done for it, in any law [cells]; one at rest."""
+LOOK_STEPS = 8
+"""Steps between two looks for such corners where springs act alone."""
 _YOUNGS_MODULUS = 2.5
 _CORNER_FLOOR = 0.3
 _SPRINGS_CORNER = 3.0

@@ -75,6 +75,7 @@ from heartcase.simulator.engine.cpu.tethers import keep_both_ends_awake, pull_by
 from heartcase.simulator.engine.cpu.turning import push_out, shorten, watch_cells
 from heartcase.simulator.engine.cpu.vector_ir import flush_subnormals, restore_subnormals
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_NUMBERS
+from heartcase.simulator.lattice.force_law import LOOK_STEPS
 
 __all__ = [
     "CHUNKS_PER_ROOM",
@@ -93,8 +94,6 @@ SHARES = 64
 """Parts of the windows that threads take one by one."""
 CELLS_AT_ONCE = 64
 """Windows of cells that share strain whose gradients, means and forces are worked out one after the other."""
-LOOK_STEPS = 8
-"""Steps between two looks for corners that are about to turn inside out."""
 CHUNKS_PER_ROOM = CELL_NUMBERS // 3
 """Chunks whose forces share an array: it has room for so many numbers a lane."""
 NO_CELLS, VOLUME_TERM, ELEMENTS, SHARING_ELEMENTS = 0, 1, 2, 3

@@ -13,6 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numba import cuda
 
+from heartcase.simulator.engine.cuda.flat_corners import any_corner_is_flat, corners_of
+from heartcase.simulator.engine.cuda.flat_corners import cell_functions as _math
 from heartcase.simulator.engine.cuda.intrinsics import load_four, store_four, wait_at_grid_barrier
 from heartcase.simulator.engine.cuda.kernel import (
     force_of_springs,
@@ -24,7 +26,7 @@ from heartcase.simulator.engine.cuda.kernel import (
     weights_of,
 )
 from heartcase.simulator.engine.cuda.turn_kernels import push_out, shorten, watch_cell
-from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
+from heartcase.simulator.forces.cell_math import NOTHING_SHARED
 from heartcase.simulator.lattice.force_law import LOOK_BELOW
 
 __all__ = [
@@ -32,7 +34,6 @@ __all__ = [
     "NO_CELL",
     "add_cell_forces",
     "advance_with_cells",
-    "look_at_cells",
     "share_strain",
     "stretch_cells",
     "work_cells",
@@ -50,34 +51,8 @@ _NO_CELL = _U(NO_CELL)
 _NOTHING = NOTHING_SHARED
 
 
-@cuda.jit(device=True)
-def _positive_part(value):
-    return value if value > _O else _O
-
-
-_math = make_cell_math(cuda.jit(device=True), _positive_part)
 _gradient, _stretching, _element = _math.gradient, _math.stretching, _math.element
 _volume_term, _corner_guard, _corner_lack = _math.volume_term, _math.corner_guard, _math.corner_lack
-
-
-@cuda.jit(device=True)
-def _corner(displacement, buffer, corner_lane, place):
-    u = load_four(displacement, _U(buffer + corner_lane[place]))
-    return u[0], u[1], u[2]
-
-
-@cuda.jit(device=True)
-def _corners(displacement, buffer, corner_lane, cell, count):
-    return (
-        _corner(displacement, buffer, corner_lane, _U(cell)),
-        _corner(displacement, buffer, corner_lane, _U(count + cell)),
-        _corner(displacement, buffer, corner_lane, _U(2 * count + cell)),
-        _corner(displacement, buffer, corner_lane, _U(3 * count + cell)),
-        _corner(displacement, buffer, corner_lane, _U(4 * count + cell)),
-        _corner(displacement, buffer, corner_lane, _U(5 * count + cell)),
-        _corner(displacement, buffer, corner_lane, _U(6 * count + cell)),
-        _corner(displacement, buffer, corner_lane, _U(7 * count + cell)),
-    )
 
 
 @cuda.jit(device=True)
@@ -136,7 +111,7 @@ def _store_nine(array, place, count, columns):
 def _stretch_cell(displacement, buffer, corner_lane, numbers, gradient, cell):
     """Write F - 1 of one cell."""
     count = _U(corner_lane.shape[0] // 8)
-    u = _corners(displacement, buffer, corner_lane, cell, count)
+    u = corners_of(displacement, buffer, corner_lane, cell, count)
     _store_nine(gradient, cell, count, _gradient(u, _moments(numbers, cell, count)))
 
 
@@ -171,7 +146,7 @@ def _work_cell(
 ):
     """Write the forces of one cell on its corners; whether one of these is below LOOK_BELOW."""
     count = _U(corner_lane.shape[0] // 8)
-    u = _corners(displacement, buffer, corner_lane, cell, count)
+    u = corners_of(displacement, buffer, corner_lane, cell, count)
     scale = numbers[cell]
     if has_elements:
         own, shared = scale, _NOTHING
@@ -256,6 +231,8 @@ def advance_with_cells(
     rest,
     probes,
     turn,
+    look_steps,
+    taken,
 ):
     """Take steps in place; see :mod:`heartcase.simulator.engine.cuda.kernel` for what is not said here.
 
@@ -286,7 +263,7 @@ def advance_with_cells(
     has_elements, has_guard, has_sharing
         Whether cells are elements, whether their corners push back, and whether elements share strain.
     step_count
-        Steps to take; times six times the number of blocks of threads at most 2**32 - 1.
+        Steps to take; times seven times the number of blocks of threads at most 2**32 - 1.
     tethers, row_step
         As of :func:`heartcase.simulator.engine.cuda.kernel.pull_by_tethers`, and steps taken before in this row.
     rest
@@ -296,6 +273,9 @@ def advance_with_cells(
         PROBE_SIZE).
     turn
         As of :mod:`heartcase.simulator.engine.cuda.turn_kernels`.
+    look_steps
+        Steps between two looks for flat corners, the first before the first step, which end the launch where there are
+        none any more; 0 for no looks.
     """
     if cuda.grid(1) == 0:
         for flag in range(4):
@@ -308,7 +288,14 @@ def advance_with_cells(
     now, later = _U(current * count), _U((1 - current) * count)
     expected = _U(0)
     sharing = (corner_node, shares, inverse_shared, gradient, stress)
+    done = step_count
     for step_number in range(step_count):
+        if look_steps > 0 and step_number % look_steps == 0:
+            look = _U(step_number // look_steps + 1)
+            expected = _U(expected + cuda.gridDim.x)
+            if not any_corner_is_flat(displacement, now, corner_lane, numbers, arrivals, expected, look):
+                done = step_number
+                break
         if has_sharing:
             for cell in range(cuda.grid(1), cell_count, cuda.gridsize(1)):
                 _stretch_cell(displacement, now, corner_lane, numbers, gradient, _U(cell))
@@ -362,6 +349,8 @@ def advance_with_cells(
         now, later = later, now
         expected = _U(expected + cuda.gridDim.x)
         wait_at_grid_barrier(arrivals, expected)
+    if cuda.grid(1) == 0:
+        taken[0] = done
 
 
 @cuda.jit
@@ -414,14 +403,3 @@ def add_cell_forces(cell_force, node_cell, node_count, cell_count, nodes, force)
         f = (force[number, 0], force[number, 1], force[number, 2])
         f = _add_cells(f, cell_force, node_cell, nodes[number], _U(node_count), _U(cell_count))
         force[number, 0], force[number, 1], force[number, 2] = f[0], f[1], f[2]
-
-
-@cuda.jit
-def look_at_cells(displacement, first, corner_lane, numbers, volume, is_flat):
-    """Set a flag, shape (1,), where a corner of a cell has less than a volume."""
-    cell = cuda.grid(1)
-    count = _U(corner_lane.shape[0] // 8)
-    if cell < count:
-        u = _corners(displacement, _U(first), corner_lane, _U(cell), count)
-        if _corner_lack(u, volume) * numbers[cell] > _O:
-            is_flat[0] = 1

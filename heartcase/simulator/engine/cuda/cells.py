@@ -9,13 +9,11 @@ import numpy as np
 from heartcase.schemas.arrays import Float64, UInt32
 from heartcase.simulator.engine.shared.cell_lanes import cell_numbers, inverse_shared, share_numbers
 from heartcase.simulator.engine.shared.lanes import SHARE_NUMBERS, LaneLayout
-from heartcase.simulator.lattice.force_law import LOOK_BELOW
+from heartcase.simulator.lattice.force_law import LOOK_STEPS
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["LOOK_STEPS", "CellsOnDevice", "plain_launch"]
+__all__ = ["CellsOnDevice", "plain_launch"]
 
-LOOK_STEPS = 64
-"""Steps between two looks for corners that are about to turn inside out: each makes the host wait for the device."""
 PLAIN_THREADS = 128
 """Threads of a block in the kernels without a grid-wide barrier."""
 
@@ -43,8 +41,6 @@ class CellsOnDevice:
         self._corner_node = cuda.to_device(corners.astype(np.uint32).ravel())
         self._force = cuda.to_device(np.zeros(24 * self._count, np.float32))
         self._gradient = self._stress = cuda.to_device(np.zeros(1, np.float32))
-        self._is_flat = cuda.mapped_array(1, np.uint32)
-        self._node_count = model.node_count
         counts = (model.node_count, self._count)
         near, watched, flags = (cuda.to_device(np.zeros(count, np.int32)) for count in (*counts, 4))
         self._turn = near, watched, cuda.to_device(np.ones(8 * self._count, np.float32)), flags
@@ -67,24 +63,24 @@ class CellsOnDevice:
         self._law = self._cuda.to_device(np.array(law.constants, np.float32))
 
     @property
-    def steps_most(self) -> int | None:
-        """Steps after which to ask again whether cells act, None for never."""
-        return None if self._always or not self._has_guard else LOOK_STEPS
+    def always_act(self) -> bool:
+        """Whether cells have to be worked out in every state."""
+        return self._always
+
+    @property
+    def look_steps(self) -> int:
+        """Steps between two looks for states in which cells have to be worked out, 0 for none."""
+        return LOOK_STEPS if self._has_guard and not self._always else 0
 
     @property
     def may_act(self) -> bool:
         """Whether there is a state in which cells have to be worked out."""
         return self._always or self._has_guard
 
-    def act(self, displacement: Any, first: int) -> bool:
-        """Whether cells have to be worked out, for displacements from vector ``first`` on; may wait for the device."""
-        if self._always or not self._has_guard:
-            return self._always
-        self._is_flat[0] = 0
-        look = self.kernels.look_at_cells[plain_launch(self._count)]
-        look(displacement, first, self._corner_lane, self._numbers, np.float32(LOOK_BELOW), self._is_flat)
-        self._cuda.synchronize()
-        return bool(self._is_flat[0])
+    @property
+    def looked_at(self) -> tuple[Any, Any]:
+        """What a look reads: ``corner_lane`` and ``numbers``."""
+        return self._corner_lane, self._numbers
 
     def arguments(self) -> tuple[Any, ...]:
         """What ``advance_with_cells`` wants of the cells, from ``corner_lane`` to ``has_sharing``."""

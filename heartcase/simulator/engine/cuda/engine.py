@@ -33,7 +33,7 @@ WARP = 32
 NODE_SETS_KEPT = 16
 """Sets of nodes whose forces were asked for that stay on the device."""
 STEPS_PER_LAUNCH = 100_000
-"""So that Ctrl-C is heard within seconds, and the count at the grid-wide barrier stays in its 32 bits."""
+"""So that Ctrl-C is heard within seconds, and the count at the grid-wide barrier stays in its 32 bits; whole looks."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,8 @@ class CudaEngine:
         self.set_tethers(Tethers.none())
         self._displacement = cuda.to_device(np.zeros(8 * layout.lane_count, np.float32))
         self._velocity = cuda.to_device(np.zeros(4 * layout.lane_count, np.float32))
-        self._arrivals = cuda.to_device(np.zeros(1, np.uint32))
+        self._arrivals = cuda.to_device(np.zeros(2, np.uint32))
+        self._taken = cuda.mapped_array(1, np.uint32)
         self._nothing = cuda.to_device(np.zeros(0, np.float32))
         self._no_probes = self._probes = cuda.to_device(NO_PROBES)
         self._nodes_seen: dict[bytes, Any] = {}
@@ -124,7 +125,7 @@ class CudaEngine:
         self._resident = resident
         self._plans: dict[tuple[bool, bool], tuple[Launch, bool]] = {}
         self._plan_with_cells: tuple[int, int] | None = None
-        self._advance(0, self._constants_of(Verlet(0.0)))
+        self._advance(0, self._constants_of(Verlet(0.0)), 0)
         self.set_inverse_mass(model.inverse_mass)
 
     def load(self, state: State) -> None:
@@ -179,21 +180,29 @@ class CudaEngine:
         )
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
-        """Take steps. They are under way when this returns; whatever reads the state waits for them."""
+        """Take steps. Some may be under way when this returns; whatever reads the state waits for them."""
         constants = self._constants_of(verlet)
-        left = step_count
+        cells = self._cells
         self._row_step = 0
-        self._cells.clear_given(len(probes))
-        if not step_count and (self._cells.may_act or len(probes)):
+        cells.clear_given(len(probes))
+        if not step_count and (cells.may_act or len(probes)):
             # compile it before it is needed in the middle of a scene
-            self._advance_with_cells(0, constants, probes)
+            self._advance_with_cells(0, constants, probes, 0)
+        works_cells = cells.always_act or len(probes) > 0
+        look_steps = 0 if works_cells else cells.look_steps
+        left = step_count
         while True:
-            acts = self._cells.act(self._displacement, self._current * self._lane_count)
-            count = min(left, self._cells.steps_most or STEPS_PER_LAUNCH)
-            if acts or len(probes):
-                self._advance_with_cells(count, constants, probes)
+            count = min(left, STEPS_PER_LAUNCH)
+            if works_cells:
+                self._advance_with_cells(count, constants, probes, look_steps)
             else:
-                self._advance(count, constants)
+                self._advance(count, constants, look_steps)
+            if look_steps or count < left:
+                self._cuda.synchronize()
+            if look_steps:
+                # what a look found is for the other kernel
+                works_cells ^= int(self._taken[0]) < count
+                count = int(self._taken[0])
             self._current = (self._current + count) % 2
             self.step_count += count
             self._row_step += count
@@ -201,7 +210,6 @@ class CudaEngine:
             left -= count
             if not left:
                 return
-            self._cuda.synchronize()
 
     @property
     def probe_impulse(self) -> Float64:
@@ -260,14 +268,14 @@ class CudaEngine:
         self._cuda.synchronize()
         return np.array(self._shown.displacement[: len(nodes)])
 
-    def _advance(self, step_count: int, constants: Any) -> None:
+    def _advance(self, step_count: int, constants: Any, look_steps: int) -> None:
         kind = (self._explicit_count > 0, self._tethers_are_there)
         if kind not in self._plans:
             self._plans[kind] = self._plan(kind, constants)
         launch, is_resident = self._plans[kind]
-        self._start(launch, step_count, constants, kind=kind, is_resident=is_resident)
+        self._start(launch, step_count, constants, look_steps, kind=kind, is_resident=is_resident)
 
-    def _advance_with_cells(self, step_count: int, constants: Any, probes: Float32) -> None:
+    def _advance_with_cells(self, step_count: int, constants: Any, probes: Float32, look_steps: int) -> None:
         kernel = self._cells.kernels.advance_with_cells
         rest = self._rest if len(probes) else self._nothing
         hands = (
@@ -294,6 +302,8 @@ class CudaEngine:
                 self._arrivals,
                 *hands,
                 turn,
+                look_steps,
+                self._taken,
             )
 
         if self._plan_with_cells is None:
@@ -304,12 +314,20 @@ class CudaEngine:
         start(step_count, self._plan_with_cells)
 
     def _start(
-        self, launch: Launch, step_count: int, constants: Any, *, kind: tuple[bool, bool], is_resident: bool
+        self,
+        launch: Launch,
+        step_count: int,
+        constants: Any,
+        look_steps: int,
+        *,
+        kind: tuple[bool, bool],
+        is_resident: bool,
     ) -> None:
         state = (self._displacement, self._velocity, self._spring_weight)
         where = (self._window_rows, self._node_slot, self._lane_count)
         what = (self._current, step_count, constants, self._arrivals)
-        hands = (*self._explicit, self._tethers, self._row_step)
+        looks = (*self._cells.looked_at, look_steps, self._taken)
+        hands = (*self._explicit, self._tethers, self._row_step, *looks)
         threads = (launch.block_count, launch.thread_count)
         if is_resident:
             self._kernels.advance_resident[kind][threads](*state, *where, *what, *hands)
@@ -325,7 +343,7 @@ class CudaEngine:
             if self._resident not in (None, is_resident):
                 continue
             one = Launch(1, WARP, 1, WARP)
-            self._start(one, 0, constants, kind=kind, is_resident=is_resident)
+            self._start(one, 0, constants, 0, kind=kind, is_resident=is_resident)
             most = kernels.RESIDENT_THREADS if is_resident else kernels.STREAMING_THREADS
             overloads = family[kind].overloads
             overload = next(iter(overloads.values()), None) or overloads[()]

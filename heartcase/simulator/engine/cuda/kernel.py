@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numba import cuda
 
+from heartcase.simulator.engine.cuda.flat_corners import any_corner_is_flat
 from heartcase.simulator.engine.cuda.intrinsics import load_four, register_limit, store_four, wait_at_grid_barrier
 from heartcase.simulator.engine.shared.lanes import LANE_COUNT
 from heartcase.simulator.lattice.tethers import END_NODES
@@ -225,9 +226,10 @@ def pull_by_tethers(f, displacement, buffer, node, row_step, tethers):
 
 @cuda.jit(device=True)
 def start_meeting(arrivals):
-    """Set the count to zero; numba's own barrier makes it launch the grid only if all of it runs at once."""
+    """Set count and looks to zero; numba's own barrier makes it launch the grid only if all of it runs at once."""
     if cuda.grid(1) == 0:
         arrivals[0] = 0
+        arrivals[1] = 0
     cuda.cg.this_grid().sync()
 
 
@@ -250,6 +252,10 @@ def _make_advance_resident(has_hands: bool, has_tethers: bool) -> Any:
         explicit_stiffness,
         tethers,
         row_step,
+        corner_lane,
+        numbers,
+        look_steps,
+        taken,
     ):
         """Take steps in place, with a thread for every node.
 
@@ -272,11 +278,11 @@ def _make_advance_resident(has_hands: bool, has_tethers: bool) -> Any:
         current
             Buffer that holds the displacement now; the other after an odd number of steps.
         step_count
-            Steps to take; times the number of blocks of threads at most 2**32 - 1.
+            Steps to take; twice of them times the number of blocks of threads at most 2**32 - 1.
         constants
             Step, keep, kick, the three components of gravity and the speed limit, grid units, float32, shape (7,).
         arrivals
-            Room for the barrier's count, uint32, shape (1,).
+            Room for the barrier's count and the looks, uint32, shape (2,).
         explicit_first
             Where the explicit springs of each node begin, and the last end, uint32, shape (node_count + 1,).
         explicit_lane, explicit_offset, explicit_stiffness
@@ -287,6 +293,13 @@ def _make_advance_resident(has_hands: bool, has_tethers: bool) -> Any:
             As of :func:`pull_by_tethers`.
         row_step
             Steps that were taken before in this row.
+        corner_lane, numbers
+            As of :func:`heartcase.simulator.engine.cuda.cell_kernels.advance_with_cells`.
+        look_steps
+            Steps between two looks for flat corners, the first before the first step, which end the launch where there
+            are any; 0 for no looks.
+        taken
+            Written: steps that were taken, uint32, shape (1,).
         """
         start_meeting(arrivals)
         number = cuda.grid(1)
@@ -307,7 +320,14 @@ def _make_advance_resident(has_hands: bool, has_tethers: bool) -> Any:
         if has_hands and is_used:
             begin, end = explicit_first[number], explicit_first[number + 1]
         expected = _U(0)
+        done = step_count
         for step_number in range(step_count):
+            if look_steps > 0 and step_number % look_steps == 0:
+                look = _U(step_number // look_steps + 1)
+                expected = _U(expected + cuda.gridDim.x)
+                if any_corner_is_flat(displacement, now, corner_lane, numbers, arrivals, expected, look):
+                    done = step_number
+                    break
             if is_used:
                 f = force_of_springs(displacement, now, u, row, weight)
                 if has_tethers:
@@ -324,6 +344,8 @@ def _make_advance_resident(has_hands: bool, has_tethers: bool) -> Any:
             wait_at_grid_barrier(arrivals, expected)
         if is_used:
             store_four(velocity, lane, v[0], v[1], v[2], v[3])
+        if number == 0:
+            taken[0] = done
 
     return advance_resident
 
@@ -350,6 +372,10 @@ def _make_advance_streaming(has_hands: bool, has_tethers: bool) -> Any:
         explicit_stiffness,
         tethers,
         row_step,
+        corner_lane,
+        numbers,
+        look_steps,
+        taken,
     ):
         """``advance_resident`` for any number of nodes.
 
@@ -368,7 +394,14 @@ def _make_advance_streaming(has_hands: bool, has_tethers: bool) -> Any:
         count = _U(lane_count)
         now, later = _U(current * count), _U((1 - current) * count)
         expected = _U(0)
+        done = step_count
         for step_number in range(step_count):
+            if look_steps > 0 and step_number % look_steps == 0:
+                look = _U(step_number // look_steps + 1)
+                expected = _U(expected + cuda.gridDim.x)
+                if any_corner_is_flat(displacement, now, corner_lane, numbers, arrivals, expected, look):
+                    done = step_number
+                    break
             for sweep in range(sweep_count):
                 turn = sweep if step_number % 2 == 0 else sweep_count - 1 - sweep
                 number = (turn * cuda.gridDim.x + cuda.blockIdx.x) * share + cuda.threadIdx.x
@@ -393,6 +426,8 @@ def _make_advance_streaming(has_hands: bool, has_tethers: bool) -> Any:
             now, later = later, now
             expected = _U(expected + cuda.gridDim.x)
             wait_at_grid_barrier(arrivals, expected)
+        if cuda.grid(1) == 0:
+            taken[0] = done
 
     return advance_streaming
 
