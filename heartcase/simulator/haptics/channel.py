@@ -68,6 +68,7 @@ class Channel:
         self.memories = memories
         self._tissue = Ring(memories[0], _TISSUE_ROWS, _TISSUE_WIDTH)
         self._tool = Ring(memories[1], _TOOL_ROWS, _TOOL_WIDTH)
+        self._row = np.empty(_TOOL_WIDTH)
 
     def publish_tissue(self, sample: TissueSample) -> None:
         """Hand a state of the tissue to the loop."""
@@ -75,8 +76,12 @@ class Channel:
 
     def tissue(self) -> tuple[int, TissueSample | None]:
         """Number of the newest state of the tissue, and the state; 0 and None before the first."""
-        found = self._tissue.latest()
-        return (0, None) if found is None else (found[0], TissueSample.of_row(found[1]))
+        number, row = self.tissue_row()
+        return number, None if row is None else TissueSample.of_row(row)
+
+    def tissue_row(self) -> tuple[int, Float64 | None]:
+        """Number of the newest state of the tissue, and the state as numbers (``TissueSample.row``), shape (21,)."""
+        return self._tissue.latest() or (0, None)
 
     def publish_tool(self, state: ServoState, buttons: tuple[bool, ...], sample_number: int) -> None:
         """Hand what the loop did to the simulation.
@@ -90,13 +95,41 @@ class Channel:
         sample_number
             Number of the state of the tissue that the force came from; 0 before the first.
         """
-        row = np.empty(_TOOL_WIDTH)
-        row[0] = state.time_s
-        row[1:4] = state.tool.pose.position_mm
-        row[4:13] = state.tool.pose.turn.ravel()
-        row[13:19] = state.load.ravel()
+        pose = np.concatenate([state.tool.pose.position_mm, state.tool.pose.turn.ravel()])
+        felt = (state.part, state.account.energy_mj)
+        self.publish_numbers(state.time_s, pose, state.load, felt, buttons, sample_number)
+
+    def publish_numbers(
+        self,
+        time_s: float,
+        pose: Float64,
+        load: Float64,
+        felt: tuple[float, float],
+        buttons: tuple[bool, ...],
+        sample_number: int,
+    ) -> None:
+        """:meth:`publish_tool` without the objects.
+
+        Parameters
+        ----------
+        time_s
+            When it was, by the clock of the loop, s.
+        pose
+            Where the tool is: position, LPS mm, and rotation row by row, shape (12,).
+        load
+            What is put out: N, N mm, shape (2, 3).
+        felt
+            Part of the force that is put out, and what the hand has put in less what it got back, mJ.
+        buttons, sample_number
+            As of :meth:`publish_tool`.
+        """
+        row = self._row
+        row[0] = time_s
+        row[1:13] = pose
+        row[13:19] = load.ravel()
         row[19] = sum(1 << number for number, is_down in enumerate(buttons) if is_down)
-        row[20:] = state.part, state.account.energy_mj, sample_number
+        row[20:22] = felt
+        row[22] = sample_number
         self._tool.write(row)
 
     def felt(self) -> Felt | None:

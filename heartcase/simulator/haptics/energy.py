@@ -16,11 +16,12 @@ import numpy as np
 from heartcase.schemas.arrays import Float64
 from heartcase.simulator.haptics.settings import ServoSettings
 
-__all__ = ["Account", "within_credit"]
+__all__ = ["KEPT", "STILL_MM_S", "Account", "within_credit"]
 
-_KEPT = 1e-3
-_STILL = 1e-9
-"""Speed below which nothing is given out [mm/s]."""
+KEPT = 1e-3
+"""Part of what a hand puts in that is not given back [1]."""
+STILL_MM_S = 1e-9
+"""Speed below which nothing is given out, levers for rotations included, mm/s."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Account:
     @property
     def credit_mj(self) -> float:
         """What may still be given back, mJ: a thousandth of what was put in is kept, for what is given by mistake."""
-        return (1.0 - _KEPT) * self.put_in_mj - self.got_back_mj
+        return (1.0 - KEPT) * self.put_in_mj - self.got_back_mj
 
     def after(self, load: Float64, moved: Float64) -> Account:
         """The account after an update.
@@ -78,7 +79,7 @@ def within_credit(load: Float64, motion: Float64, credit_mj: float, settings: Se
     lever = settings.levers
     speed = motion * lever
     square = float(np.vdot(speed, speed))
-    if square < _STILL**2:
+    if square < STILL_MM_S**2:
         return load
     power = float(np.vdot(load, motion))
     surplus = power - max(credit_mj, 0.0) / settings.spending_s

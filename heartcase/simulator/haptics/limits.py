@@ -23,7 +23,8 @@ def followed(before: Float64, wanted: Float64, seconds: float, settings: ServoSe
     change = wanted - before
     size = np.sqrt(np.einsum("ij,ij->i", change, change))[:, None]
     most = settings.slew * seconds
-    reached: Float64 = before + change * (most / np.maximum(size, most))
+    # Where no time has passed and nothing is to change both are zero.
+    reached: Float64 = before + change * (most / np.maximum(np.maximum(size, most), np.finfo(float).tiny))
     return reached
 
 

@@ -1,4 +1,7 @@
-"""One update of the servo loop: from the device's pose and the newest state of the tissue to a force. No clock here."""
+"""One update of the servo loop: from the device's pose and the newest state of the tissue to a force. No clock here.
+
+Plain NumPy, the oracle of :mod:`heartcase.simulator.haptics.loop_kernels`, which the loop itself runs.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ from heartcase.simulator.haptics.limits import followed, limited, part_at_age
 from heartcase.simulator.haptics.poses import ToolPose
 from heartcase.simulator.haptics.settings import ServoSettings
 
-__all__ = ["ServoState", "first_state", "servo_update"]
+__all__ = ["SECONDS_MOST", "ServoState", "first_state", "servo_update"]
 
-_SECONDS_MOST = 0.005
+SECONDS_MOST = 0.005
 """Longest time that one update of the tool reckons with, s: a loop that was held up does not leap."""
 
 
@@ -38,6 +41,8 @@ class ServoState:
     """Part of the force that is put out: less than one where the tissue's state is old [1]."""
     account: Account = field(default_factory=Account)
     """What the hand has put in and got back."""
+    earlier: Float64 = field(default_factory=lambda: np.zeros((2, 3)))
+    """What was put out before ``load``, until that was due: N, N mm, shape (2, 3)."""
 
 
 def first_state(time_s: float, reading: DeviceReading) -> ServoState:
@@ -67,13 +72,14 @@ def servo_update(
     seconds = max(time_s - state.time_s, 0.0)
     hand = reading.pose
     moved = state.hand.gap_to(hand)
-    account = state.account.after(state.load, moved)
+    waited = min(settings.ahead_s, seconds) / seconds if seconds > 0.0 else 0.0
+    account = state.account.after(state.load + waited * (state.earlier - state.load), moved)
     age_s = None if tissue is None else time_s - tissue.finished_s
     part = part_at_age(state.part, age_s, seconds, settings)
-    dt = min(max(seconds, 0.1 * settings.period_s), _SECONDS_MOST)
+    dt = min(max(seconds, 0.1 * settings.period_s), SECONDS_MOST)
     # A state that is too old to be felt does not hold the tool either: it comes back to the hand.
     felt = tissue if part > 0.0 else None
     tool, pull = advance_tool(state.tool, hand, reading.motion, felt, settings, seconds=dt)
     wanted = limited(within_credit(pull, moved / dt, account.credit_mj, settings), settings)
     within = followed(state.within, wanted, seconds, settings)
-    return ServoState(time_s, hand, tool, within, part * within, part, account)
+    return ServoState(time_s, hand, tool, within, part * within, part, account, state.load)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, cos, sin, sqrt
+from math import atan2, cos, sin, sqrt
 
 import numpy as np
 
 from heartcase.schemas.arrays import Float64
 
-__all__ = ["ToolPose", "rotation_between", "turn_by", "vector_of"]
+__all__ = ["NEARLY_HALF_RAD", "SMALL_RAD", "ToolPose", "rotation_between", "turn_by", "vector_of"]
 
-_SMALL = 1e-8
+SMALL_RAD = 1e-8
 """Angle below which the first term of a series is exact in float64, rad."""
-_NEARLY_HALF = 1e-4
+NEARLY_HALF_RAD = 1e-4
 """Distance from half a turn within which the axis is taken from the symmetric part, rad."""
 
 
@@ -52,7 +52,7 @@ def turn_by(vector: Float64) -> Float64:
     """The rotation matrix of a rotation vector, rad (Rodrigues), shape (3, 3)."""
     x, y, z = vector.tolist()
     angle = sqrt(x * x + y * y + z * z)
-    if angle < _SMALL:
+    if angle < SMALL_RAD:
         return np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
     s, c = sin(angle) / angle, (1.0 - cos(angle)) / (angle * angle)
     square = angle * angle
@@ -69,10 +69,10 @@ def vector_of(turn: Float64) -> Float64:
     """The rotation vector of a rotation matrix, rad, at most half a turn long, shape (3,)."""
     (a, b, c), (d, e, f), (g, h, i) = turn.tolist()
     twice_sine = np.array([h - f, c - g, d - b])
-    angle = acos(min(max((a + e + i - 1.0) / 2.0, -1.0), 1.0))
-    if angle < _SMALL:
+    angle = atan2(sqrt(float(twice_sine @ twice_sine)), a + e + i - 1.0)
+    if angle < SMALL_RAD:
         return twice_sine / 2.0
-    if angle < np.pi - _NEARLY_HALF:
+    if angle < np.pi - NEARLY_HALF_RAD:
         return twice_sine * (angle / (2.0 * sin(angle)))
     # Near half a turn the sine says little: the axis is the largest column of the symmetric part.
     symmetric = (turn + turn.T) / 2.0 - cos(angle) * np.eye(3)

@@ -22,13 +22,15 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import HeartcaseError, SimulationError
 from heartcase.simulator.haptics.channel import Channel
 from heartcase.simulator.haptics.device import DeviceSpec, HapticDevice, open_device
-from heartcase.simulator.haptics.loop import first_state, servo_update
+from heartcase.simulator.haptics.loop_numbers import LoopNumbers
 from heartcase.simulator.haptics.settings import ServoSettings
 
 __all__ = ["LOG_WIDTH", "HapticServo", "run_loop"]
 
 LOG_WIDTH = 4
 """Numbers of an update in a log: time, number of the tissue's state, time of that state, part that was put out."""
+_SPIN_S = 2e-4
+"""The last part of a wait is spent looking at the clock: a sleep may end late by more than this, s."""
 _START_S = 60.0
 """Longest time for the process to start, s."""
 
@@ -140,30 +142,32 @@ def run_loop(
     log
         Where times of the first device's updates go, shape (count, 4).
     """
-    began_s = time.perf_counter()
     try:
+        LoopNumbers.prepare()
+        began_s = time.perf_counter()
         readings = [device.read(0.0) for device in devices]
-        states = [first_state(began_s, reading) for reading in readings]
+        loops = [LoopNumbers(began_s, reading, settings) for reading in readings]
         due_s, number = began_s, 0
         while not is_ended():
             due_s = _wait_for_begin(due_s + settings.period_s, settings)
             numbers, finished_s = [], 0.0
-            for place, (device, channel) in enumerate(zip(devices, channels, strict=True)):
+            for device, channel, loop in zip(devices, channels, loops, strict=True):
                 now_s = time.perf_counter()
                 reading = device.read(now_s - began_s)
-                sample_number, tissue = channel.tissue()
-                states[place] = servo_update(states[place], now_s, reading, tissue, settings)
-                channel.publish_tool(states[place], reading.buttons, sample_number)
+                sample_number, tissue = channel.tissue_row()
+                loop.update(now_s, reading, tissue)
+                felt = (loop.part, loop.energy_mj)
+                channel.publish_numbers(now_s, loop.pose, loop.load, felt, reading.buttons, sample_number)
                 numbers.append(sample_number)
-                if tissue is not None and place == 0:
-                    finished_s = tissue.finished_s
+                if tissue is not None and loop is loops[0]:
+                    finished_s = float(tissue[0])
             # A sleep would end late.
             while time.perf_counter() < due_s:
                 pass
-            for device, state in zip(devices, states, strict=True):
-                device.write(state.load[0], state.load[1])
+            for device, loop in zip(devices, loops, strict=True):
+                device.write(loop.load[0].copy(), loop.load[1].copy())
             if log is not None and number < len(log):
-                log[number] = time.perf_counter(), numbers[0], finished_s, states[0].part
+                log[number] = time.perf_counter(), numbers[0], finished_s, loops[0].part
             number += 1
     finally:
         for device in devices:
@@ -172,11 +176,13 @@ def run_loop(
 
 
 def _wait_for_begin(due_s: float, settings: ServoSettings) -> float:
-    """Sleep until an update is to be begun; when it is due: one that was missed by a whole period is left out."""
-    left_s = due_s - settings.ahead_s - time.perf_counter()
+    """Wait until an update is to be begun; when it is due: one that was missed by a whole period is left out."""
+    begin_s = due_s - settings.ahead_s
+    left_s = begin_s - _SPIN_S - time.perf_counter()
     if left_s > 0.0:
         time.sleep(left_s)
-    now_s = time.perf_counter()
+    while (now_s := time.perf_counter()) < begin_s:
+        pass
     return due_s if now_s < due_s + settings.period_s else now_s
 
 
@@ -199,6 +205,7 @@ def _serve(
             device.close()
         tells.send(str(error))
         return
+    LoopNumbers.prepare()
     tells.send("")
     _hurry()
     parent = multiprocessing.parent_process()
@@ -220,6 +227,12 @@ def _hurry() -> None:
     """Never stop to look for garbage, of which there is next to none; be woken before others where that is allowed."""
     gc.collect()
     gc.disable()
-    if hasattr(os, "sched_setscheduler"):
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+    if not hasattr(os, "sched_setscheduler"):
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+    except OSError:
+        return
+    # On one core for good: else the simulation makes way for it on one core after the other.
+    with contextlib.suppress(OSError):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})

@@ -45,7 +45,7 @@ class ServoSettings:
 
     rate_hz: float = 1000.0
     """Updates of the force, 1/s."""
-    ahead_s: float = 0.0003
+    ahead_s: float = 0.0002
     """t: time before an update is due at which it is begun, s. A force that is ready waits: updates come evenly."""
     stiffness_n_m: float = 400.0
     """K: stiffness of the virtual coupling, N/m."""

@@ -63,21 +63,22 @@ class TrajectoryDevice:
             raise UsageError(problems)
         self.turns = np.stack([turn_by(vector) for vector in rotations])
         pairs = zip(self.turns[:-1], self.turns[1:], strict=True)
-        self._turned = np.array([rotation_between(one, other) for one, other in pairs]).reshape(-1, 3)
+        turned = np.array([rotation_between(one, other) for one, other in pairs]).reshape(-1, 3)
+        self._ways = np.stack([np.diff(self.positions_mm, axis=0), turned], axis=1)
+        self._motions = self._ways / np.diff(self.times_s)[:, None, None]
         self.written: list[tuple[Float64, Float64]] | None = [] if keeps_written else None
 
     def read(self, time_s: float) -> DeviceReading:
         """The pose at a time since the loop began, s."""
-        number = int(np.searchsorted(self.times_s, time_s, side="right")) - 1
+        number = int(self.times_s.searchsorted(time_s, side="right")) - 1
         before = max(number, 0)
         buttons = (bool(self.closed[before]),)
-        if number < 0 or before == len(self.times_s) - 1:
-            return DeviceReading(ToolPose(self.positions_mm[before], self.turns[before]), buttons=buttons)
-        length = self.times_s[before + 1] - self.times_s[before]
-        way = np.stack([self.positions_mm[before + 1] - self.positions_mm[before], self._turned[before]])
         start = ToolPose(self.positions_mm[before], self.turns[before])
-        part = (time_s - self.times_s[before]) / length
-        return DeviceReading(start.moved_by(part * way), way / length, buttons)
+        if number < 0 or before == len(self.times_s) - 1:
+            return DeviceReading(start, buttons=buttons)
+        way, motion = self._ways[before], self._motions[before]
+        length = self.times_s[before + 1] - self.times_s[before]
+        return DeviceReading(start.moved_by((time_s - self.times_s[before]) / length * way), motion, buttons)
 
     def write(self, force_n: Float64, torque_n_mm: Float64) -> None:
         """Keep what was written, where that is wanted: there is no hand."""

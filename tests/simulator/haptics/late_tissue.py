@@ -67,6 +67,12 @@ def wall(seed: int, n_mm: float) -> Callable[[ToolPose], np.ndarray]:
     return load
 
 
+def work_on_hand(state: ServoState, hand_at, time_s: float, settings: ServoSettings) -> float:
+    """Work from an update to a time before the next, mJ: what was put out before acts on until the update is due."""
+    due, hand = hand_at(min(state.time_s + settings.ahead_s, time_s)), hand_at(time_s)
+    return float(np.vdot(state.earlier, state.hand.gap_to(due)) + np.vdot(state.load, due.gap_to(hand)))
+
+
 def run(
     path,
     tissue,
@@ -105,7 +111,10 @@ def run(
         time_s, number = time_s + step_s, number + 1
         hand = hand_at(time_s)
         moved = state.hand.gap_to(hand)
-        given += float(np.vdot(state.load, moved))
+        if is_naive:
+            given += float(np.vdot(state.load, moved))
+        else:
+            given += work_on_hand(state, hand_at, time_s, settings)
         while coming and coming[0][0] <= time_s:
             sample = coming.pop(0)[1]
         if time_s >= segment_end:
