@@ -111,16 +111,21 @@ newest:
 GPU_PYTHON ?= $(VENV)-gpu/bin/python
 GPU_OUT ?= out/gpu
 GPU_JOBS ?= 6
+GPU_VIOLENT_SECONDS ?= 200
 # Not in numba's simulator: there is no answer without a GPU.
 gpu: export NUMBA_ENABLE_CUDASIM = 0
 gpu: export HEARTCASE_LATTICES ?= out/lattices
 gpu: $(if $(filter file,$(origin GPU_PYTHON)),$(VENV)-gpu/installed)
 	mkdir -p $(GPU_OUT)
 	$(GPU_PYTHON) -m tests.parity.gpu
-	$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider --durations 10 -m 'not slow and not versions' -k 'cuda or gpu' tests/parity tests/simulator/instruments/test_hands.py \
+	-$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider -p no:benchmark --durations 10 --junitxml $(GPU_OUT)/tests.xml \
+	  -m 'not slow and not versions' -k 'cuda or gpu' tests/parity tests/simulator/instruments/test_hands.py \
 	  tests/simulator/instruments/test_probe_contact.py tests/simulator/patching/test_patches.py \
 	  tests/simulator/test_simulation.py tests/simulator/lattice/test_strain_sharing.py tests/stress/test_violence_other_backends.py
-	$(GPU_PYTHON) -m benchmarks engine-gpu frame-adult-gpu --json $(GPU_OUT)/bench.json
+	-$(GPU_PYTHON) -m tests.stress.many_violent_scripts cuda --jobs $(GPU_JOBS) --seconds $(GPU_VIOLENT_SECONDS) --json $(GPU_OUT)/violence.json
+	-$(GPU_PYTHON) -m benchmarks frame-adult-gpu engine-gpu --json $(GPU_OUT)/bench.json
+	$(GPU_PYTHON) -m tests.parity.gpu_summary $(GPU_OUT)
+	! grep -q -e '- failed' -e 'is missing' $(GPU_OUT)/summary.md
 
 $(VENV)-gpu/installed: $(LOCK) pyproject.toml | same-python
 	$(PYTHON) -m venv $(VENV)-gpu
