@@ -37,7 +37,7 @@ def tests_told(path: Path) -> list[str]:
 def violence_told(path: Path) -> list[str]:
     """What the scripts of each law left."""
     lines = [
-        "| law | scripts | broke down | left cells inside out | most cells | the others had none after | at the speed limit |",
+        "| law | scripts | broke down | left cells | most cells | the others had none after | at the speed limit |",
         "|---|---|---|---|---|---|---|",
     ]
     for law, one in json.loads(path.read_text())["laws"].items():
