@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.frame import prepare as prepare_frame
+from benchmarks.haptics_jitter import jitter
 from heartcase.schemas.arrays import Float64
 from heartcase.simulator.haptics.channel import Channel
 from heartcase.simulator.haptics.device import DeviceSpec, open_device
-from heartcase.simulator.haptics.jitter import jitter
 from heartcase.simulator.haptics.led import LedGrab
 from heartcase.simulator.haptics.poses import ToolPose
 from heartcase.simulator.haptics.servo import LOG_WIDTH, HapticServo, run_loop

@@ -1,6 +1,6 @@
 """One update of the servo loop: from the device's pose and the newest state of the tissue to a force. No clock here.
 
-Plain NumPy, the oracle of :mod:`heartcase.simulator.haptics.loop_kernels`, which the loop itself runs.
+``servo_update`` is it in plain NumPy, the oracle; ``LoopNumbers`` the same by one kernel, which the loop itself runs.
 """
 
 from __future__ import annotations
@@ -14,13 +14,23 @@ from heartcase.simulator.haptics.coupling import TissueSample, Tool, advance_too
 from heartcase.simulator.haptics.device import DeviceReading
 from heartcase.simulator.haptics.energy import Account, within_credit
 from heartcase.simulator.haptics.limits import followed, limited, part_at_age
+from heartcase.simulator.haptics.loop_kernels import (
+    ACCOUNT,
+    EARLIER,
+    HAND,
+    LOAD,
+    LOOP_WIDTH,
+    MOTION,
+    PART,
+    TIME,
+    TOOL,
+    WITHIN,
+    advance_loop,
+)
 from heartcase.simulator.haptics.poses import ToolPose
-from heartcase.simulator.haptics.settings import ServoSettings
+from heartcase.simulator.haptics.settings import SECONDS_MOST, ServoSettings
 
-__all__ = ["SECONDS_MOST", "ServoState", "first_state", "servo_update"]
-
-SECONDS_MOST = 0.005
-"""Longest time that one update of the tool reckons with, s: a loop that was held up does not leap."""
+__all__ = ["LoopNumbers", "ServoState", "first_state", "servo_update"]
 
 
 @dataclass(frozen=True)
@@ -83,3 +93,97 @@ def servo_update(
     wanted = limited(within_credit(pull, moved / dt, account.credit_mj, settings), settings)
     within = followed(state.within, wanted, seconds, settings)
     return ServoState(time_s, hand, tool, within, part * within, part, account, state.load)
+
+
+_NO_TISSUE = np.zeros(21)
+
+
+class LoopNumbers:
+    """A loop, from its first reading on: nothing is put out at first.
+
+    Parameters
+    ----------
+    time_s
+        When it begins, by the clock of the loop, s.
+    reading
+        What the device says then.
+    settings
+        Coupling, limits, fade.
+    """
+
+    def __init__(self, time_s: float, reading: DeviceReading, settings: ServoSettings) -> None:
+        self._settings = _setting_numbers(settings)
+        self._hand = _pose_numbers(reading.pose)
+        self._numbers = np.zeros(LOOP_WIDTH)
+        self._numbers[TIME] = time_s
+        self._numbers[HAND:TOOL] = self._numbers[TOOL:MOTION] = self._hand
+        self.pose: Float64 = self._numbers[TOOL:MOTION]
+        """Where the tool behind the coupling is: position, LPS mm, and rotation row by row, shape (12,)."""
+        self.load: Float64 = self._numbers[LOAD:PART].reshape(2, 3)
+        """What is put out: force on the hand, N, and torque, N mm, LPS axes, shape (2, 3)."""
+
+    @staticmethod
+    def prepare() -> None:
+        """Load the kernel, or compile it, before time counts."""
+        loop = LoopNumbers(0.0, DeviceReading(ToolPose.at(np.zeros(3))), ServoSettings())
+        loop.update(0.0, DeviceReading(ToolPose.at(np.zeros(3))), None)
+
+    def update(self, time_s: float, reading: DeviceReading, tissue: Float64 | None) -> None:
+        """Take the loop to its next update.
+
+        Parameters
+        ----------
+        time_s
+            The time now, s.
+        reading
+            What the device says now.
+        tissue
+            The newest state of the tissue as numbers (``TissueSample.row``), shape (21,), or None.
+        """
+        self._hand[:3] = reading.pose.position_mm
+        self._hand[3:] = reading.pose.turn.ravel()
+        motion = np.ascontiguousarray(reading.motion, dtype=np.float64).ravel()
+        sample = _NO_TISSUE if tissue is None else tissue
+        advance_loop(self._numbers, time_s, self._hand, motion, tissue is not None, sample, self._settings)
+
+    @property
+    def part(self) -> float:
+        """Part of the force that is put out [1]."""
+        return float(self._numbers[PART])
+
+    @property
+    def energy_mj(self) -> float:
+        """What the hand has put in less what it got back, mJ."""
+        return float(self._numbers[ACCOUNT] - self._numbers[ACCOUNT + 1])
+
+    @property
+    def state(self) -> ServoState:
+        """The loop now, as the oracle has it."""
+        numbers = self._numbers.copy()
+        return ServoState(
+            time_s=float(numbers[TIME]),
+            hand=_pose_of(numbers[HAND:TOOL]),
+            tool=Tool(_pose_of(numbers[TOOL:MOTION]), numbers[MOTION:WITHIN].reshape(2, 3)),
+            within=numbers[WITHIN:LOAD].reshape(2, 3),
+            load=numbers[LOAD:PART].reshape(2, 3),
+            part=float(numbers[PART]),
+            account=Account(*numbers[ACCOUNT:EARLIER].tolist()),
+            earlier=numbers[EARLIER:].reshape(2, 3),
+        )
+
+
+def _pose_numbers(pose: ToolPose) -> Float64:
+    return np.concatenate([pose.position_mm, pose.turn.ravel()])
+
+
+def _pose_of(numbers: Float64) -> ToolPose:
+    return ToolPose(numbers[:3], numbers[3:].reshape(3, 3))
+
+
+def _setting_numbers(settings: ServoSettings) -> Float64:
+    """What the kernel reads, in its order: times, the account's damping, then pairs for force and torque."""
+    fade = (settings.full_for_s, settings.none_from_s, settings.rise_s)
+    times = (settings.period_s, *fade, settings.spending_s, settings.ahead_s)
+    coupling = (settings.stiffness, settings.damping, settings.mass, settings.tissue_stiffness)
+    pairs = (*coupling, settings.levers, settings.limits, settings.slew)
+    return np.array([*times, settings.payback_n_s_m * 1e-3, *np.concatenate(pairs).ravel()])

@@ -11,8 +11,8 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.simulator.haptics.energy import KEPT, STILL_MM_S
-from heartcase.simulator.haptics.loop import SECONDS_MOST
 from heartcase.simulator.haptics.poses import NEARLY_HALF_RAD, SMALL_RAD
+from heartcase.simulator.haptics.settings import SECONDS_MOST
 
 __all__ = [
     "ACCOUNT",

@@ -22,7 +22,7 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import HeartcaseError, SimulationError
 from heartcase.simulator.haptics.channel import Channel
 from heartcase.simulator.haptics.device import DeviceSpec, HapticDevice, open_device
-from heartcase.simulator.haptics.loop_numbers import LoopNumbers
+from heartcase.simulator.haptics.loop import LoopNumbers
 from heartcase.simulator.haptics.settings import ServoSettings
 
 __all__ = ["LOG_WIDTH", "HapticServo", "run_loop"]

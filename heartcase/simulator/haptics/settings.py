@@ -27,10 +27,12 @@ import numpy as np
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, SimulationError
 
-__all__ = ["STALL_S", "ServoSettings"]
+__all__ = ["SECONDS_MOST", "STALL_S", "ServoSettings"]
 
 STALL_S = 0.020
 """Time after the last state of the tissue by which no force may be left, s."""
+SECONDS_MOST = 0.005
+"""Longest time that one update of the tool reckons with, s: a loop that was held up does not leap."""
 
 
 @dataclass(frozen=True)

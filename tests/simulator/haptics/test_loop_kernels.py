@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from heartcase.simulator.haptics.coupling import TissueSample
 from heartcase.simulator.haptics.device import DeviceReading
-from heartcase.simulator.haptics.loop import first_state, servo_update
-from heartcase.simulator.haptics.loop_numbers import LoopNumbers
+from heartcase.simulator.haptics.loop import LoopNumbers, first_state, servo_update
 from heartcase.simulator.haptics.poses import ToolPose, turn_by
 from heartcase.simulator.haptics.settings import ServoSettings
 

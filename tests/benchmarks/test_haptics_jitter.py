@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from heartcase.simulator.haptics.jitter import jitter
+from benchmarks.haptics_jitter import jitter
 
 
 def test_figures_of_times_that_are_known():
