@@ -33,6 +33,11 @@ from heartcase.simulator.arrangement.surface_crossings import is_inside
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.haptics.coupling import TissueSample
+from heartcase.simulator.haptics.device import DeviceReading
+from heartcase.simulator.haptics.loop import LoopNumbers
+from heartcase.simulator.haptics.poses import ToolPose
+from heartcase.simulator.haptics.settings import ServoSettings
 from heartcase.simulator.incisions.nearness import to_structure
 from heartcase.simulator.incisions.surgical_freedom import Shaft, reach
 from heartcase.simulator.incisions.triangle_tree import triangle_tree
@@ -183,6 +188,13 @@ def test_moving_tissue_is_cut(case):
     simulation.probe(corner, 6.0)
     simulation.step(3)
     assert np.isfinite(simulation.surface_now().vertices_mm).all()
+
+
+def test_a_hand_is_felt():
+    reading = DeviceReading(ToolPose.at(np.zeros(3)))
+    loop = LoopNumbers(0.0, reading, ServoSettings())
+    loop.update(0.001, reading, TissueSample(0.0, reading.pose, np.ones((2, 3)), np.ones(2)).row())
+    assert np.abs(loop.load).max() > 0.0
 
 
 def test_an_incision_is_measured(case):
