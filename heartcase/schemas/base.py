@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import ast
+import inspect
+import textwrap
+from functools import cache
+from itertools import pairwise
+from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
 __all__ = [
@@ -26,6 +31,7 @@ __all__ = [
     "RestPoses",
     "RowPlaces",
     "Vector3",
+    "field_texts",
 ]
 
 
@@ -41,19 +47,57 @@ def _make_booleans_strict(node: Any) -> None:
         _make_booleans_strict(value)
 
 
+@cache
+def field_texts(model: type[BaseModel]) -> dict[str, str]:
+    """Name of each field -> the docstring below it, inherited ones too; read from the source when somebody asks.
+
+    pydantic would read the sources of all models when they are imported, which takes a third of the time for that.
+    """
+    texts: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if not issubclass(base, BaseModel) or base is BaseModel:
+            continue
+        try:
+            source = inspect.getsource(base)
+        except (OSError, TypeError):  # an installation without sources
+            continue
+        body = cast("ast.ClassDef", ast.parse(textwrap.dedent(source)).body[0]).body
+        for field, text in pairwise(body):
+            if (
+                isinstance(field, ast.AnnAssign)
+                and isinstance(field.target, ast.Name)
+                and isinstance(text, ast.Expr)
+                and isinstance(text.value, ast.Constant)
+                and isinstance(text.value.value, str)
+            ):
+                texts[field.target.id] = inspect.cleandoc(text.value.value)
+    return texts
+
+
 class Model(BaseModel):
     """Base of the schema models: unknown keys refused, instances immutable, no NaN or infinity.
 
     A field that is true or false takes nothing else: ``"no"``, which pydantic would read as false, is refused.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """The schema that pydantic makes, with its booleans strict."""
         schema = handler(source)
         _make_booleans_strict(schema)
+        return schema
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The schema that pydantic makes, with what the class says of its fields."""
+        schema = handler(core_schema)
+        properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for name, text in field_texts(cls).items():
+            key = cls.model_fields[name].alias or name if name in cls.model_fields else ""
+            if key in properties:
+                properties[key].setdefault("description", text)
         return schema
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
+from heartcase.pipeline.building.ahead import Ahead
 from heartcase.pipeline.building.kernels_ahead import kernels_ahead
 from heartcase.pipeline.building.lock import check_lock
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
@@ -116,6 +117,8 @@ def build_case(
     def after(stage: str) -> None:
         """Once the scan is known, refuse what does not suit it, and state every setting."""
         if stage != "read":
+            if until in (None, BUNDLE.name):
+                ahead.look()
             return
         scan = have(work.outputs.scan).get()
         examples = placeholder_problems(recipe, work.outputs.whole)
@@ -126,7 +129,7 @@ def build_case(
         if until in (None, BUNDLE.name) and not replace:
             check_replacement(out / f"{recipe.name}.case", resolved.case_id)
 
-    with kernels_ahead(recipe, until=until, processes=compile_processes):
+    with kernels_ahead(recipe, until=until, processes=compile_processes), Ahead(work) as ahead:
         run_stages(runner, work, until=until, after=after)
         if until not in (None, BUNDLE.name):
             warnings = work.told["lock"]

@@ -6,7 +6,7 @@ There is one way for it, so that a case made with one command (``heartcase build
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -76,6 +76,8 @@ class StageResults:
     """How the stages came to their outputs."""
     told: Mapping[str, Sequence[CaseWarning]] = field(default_factory=dict)
     """Warnings that are not in these outputs, by their source: a part of :data:`SOURCES`."""
+    begun: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
+    """What gives the results of :func:`measured` and :func:`normal_maps`, where they are worked out ahead."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,21 @@ def labels_of(structures: Structures) -> Segmentation:
     owner = ownership_on_lattice(structures, structures.geometry)
     labels = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label).astype(np.uint8)
     return Segmentation(labels, structures.geometry, structures.table)
+
+
+def measured(structures: Structures) -> tuple[dict[int, float], Segmentation]:
+    """Volume of every structure, label value -> ml, and :func:`labels_of`."""
+    from heartcase.pipeline.walls.grow_walls import structure_volumes_ml
+
+    return structure_volumes_ml(structures), labels_of(structures)
+
+
+def normal_maps(recipe: Recipe, surface: Surface | None) -> list[bytes]:
+    """The normal maps of a surface and its levels as PNG files, where the case has a part to render."""
+    from heartcase.pipeline.bundle.glb import normal_map_png
+
+    rendered = (surface, *surface.levels) if surface is not None and Part.RENDER in recipe.parts else ()
+    return [normal_map_png(one) for one in rendered]
 
 
 def told_of_outlines(
@@ -156,13 +173,12 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     BundleError
         See :func:`heartcase.pipeline.bundle.write_bundle.assemble_bundle`.
     """
-    from heartcase.pipeline.bundle.glb import glb_bytes, normal_map_png
+    from heartcase.pipeline.bundle.glb import glb_bytes
     from heartcase.pipeline.cells.picking import picking_surface
     from heartcase.pipeline.checks.rims import with_rims
     from heartcase.pipeline.edits.apply_edits import with_edit_names
     from heartcase.pipeline.formats.write_images import segmentation_nrrd_bytes
     from heartcase.pipeline.image.scan_part import scan_part
-    from heartcase.pipeline.walls.grow_walls import structure_volumes_ml
     from heartcase.pipeline.walls.grown_places import judged_places
     from heartcase.pipeline.walls.said_places import said_warnings
 
@@ -176,11 +192,10 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     openings: tuple[Opening, ...] = ()
     septa: list[dict[str, Any]] = []
     labels: Segmentation | None = None
-    rendered = (surface, *surface.levels) if surface is not None and Part.RENDER in recipe.parts else ()
     # Compressing the normal maps takes one thread, and as long as the kernels that measure take both.
     found, maps = side_by_side(
-        lambda: None if structures is None else (structure_volumes_ml(structures), labels_of(structures)),
-        lambda: [normal_map_png(one) for one in rendered],
+        results.begun.get("measured", lambda: None if structures is None else measured(structures)),
+        results.begun.get("normal_maps", lambda: normal_maps(recipe, surface)),
     )
     if structures is not None and found is not None:
         volumes_ml, labels = found

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from heartcase.compiling.calls import called, copied
-from heartcase.compiling.kernel import loop_kernel
+from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.fields.layout import ALL_FIELDS, BLOCK
 from heartcase.pipeline.fields.point_kernels import (
@@ -23,7 +23,7 @@ from heartcase.pipeline.fields.point_kernels import (
     scratch,
 )
 
-__all__ = ["evaluate_lattice"]
+__all__ = ["count_owners", "evaluate_lattice"]
 
 
 @called
@@ -216,3 +216,11 @@ def evaluate_lattice(layout, tables, start, step, tissue, void_label, tissue_lab
                     tissue[k, j, i] = between(state[0, i], state[1, i])
                     void_label[k, j, i] = structures.labels[slots[1, i]]
                     tissue_label[k, j, i] = structures.labels[slots[0, i]]
+
+
+@kernel
+def count_owners(tissue, tissue_label, void_label, counts):
+    """Add to ``counts``, shape (256,), how many points each label owns: the tissue where its field is negative."""
+    nil = np.float32(0.0)
+    for n in range(len(tissue)):
+        counts[tissue_label[n] if tissue[n] < nil else void_label[n]] += 1

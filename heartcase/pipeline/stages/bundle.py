@@ -45,6 +45,7 @@ def _compute(work: Work) -> AssembledCase:
         whole=outputs.whole,
         stages=work.records,
         told=told | work.told,
+        begun=work.begun,
     )
     return assemble_case(recipe, results, name=recipe.name, case_id=recipe.case_id)
 

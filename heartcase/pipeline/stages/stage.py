@@ -79,6 +79,8 @@ class Work:
     """How the outputs came about, in the order of the stages."""
     told: dict[str, tuple[CaseWarning, ...]] = field(default_factory=dict)
     """Warnings that are in no output, by what they are about (:data:`heartcase.pipeline.bundle.assembly.SOURCES`)."""
+    begun: dict[str, Callable[[], Any]] = field(default_factory=dict)
+    """Results of the last stage that are worked out ahead, by the name of the function that gives them."""
 
     @cached_property
     def rules(self) -> SettingRules:

@@ -19,6 +19,7 @@ from heartcase.pipeline.data import Segmentation, Structures, ThicknessTable
 from heartcase.pipeline.ends.cut_ends import cut_ends
 from heartcase.pipeline.ends.discs import Stumps
 from heartcase.pipeline.fields.distance import default_smoothing_mm, label_distances
+from heartcase.pipeline.fields.lattice_kernels import count_owners
 from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice
 from heartcase.pipeline.kernels.parallel import side_by_side
 from heartcase.pipeline.walls.septa import (
@@ -176,8 +177,7 @@ def structure_volumes_ml(structures: Structures) -> dict[int, float]:
     for start in range(0, fine.size[2], slab):
         part = fine.cropped((0, 0, start), (fine.size[0], fine.size[1], min(slab, fine.size[2] - start)))
         owner = ownership_on_lattice(structures, part)
-        label = np.where(owner.tissue_mm < 0.0, owner.tissue_label, owner.void_label)
-        counts += np.bincount(label.ravel(), minlength=256)
+        count_owners(owner.tissue_mm.ravel(), owner.tissue_label.ravel(), owner.void_label.ravel(), counts)
     return {int(value): float(counts[value] * fine.voxel_volume_mm3 / 1000.0) for value in np.flatnonzero(counts)}
 
 

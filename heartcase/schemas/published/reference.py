@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_origin
 from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from pydantic.fields import FieldInfo
 
-from heartcase.schemas.base import Model
+from heartcase.schemas.base import Model, field_texts
 
 __all__ = ["reference_page"]
 
@@ -39,8 +39,8 @@ def reference_page(title: str, intro: str, model: type[Model]) -> str:
     for inner, places in _models(model).items():
         name = "At the top of the file" if inner is model else f"`{inner.__name__}`: {', '.join(places)}"
         rows = [
-            f"| `{key}` | {_type_words(field.annotation)}{_limits(field)} | {_default(field)} | {_meaning(field)} |"
-            for key, field in inner.model_fields.items()
+            f"| `{key}` | {_type_words(one.annotation)}{_limits(one)} | {_default(one)} | {_meaning(inner, key)} |"
+            for key, one in inner.model_fields.items()
         ]
         summary = (inner.__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
         parts.append(
@@ -130,5 +130,6 @@ def _shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _meaning(field: FieldInfo) -> str:
-    return re.sub(r"\s+", " ", field.description or "").replace("``", "`").replace("|", "\\|")
+def _meaning(model: type[Model], key: str) -> str:
+    text = model.model_fields[key].description or field_texts(model).get(key, "")
+    return re.sub(r"\s+", " ", text).replace("``", "`").replace("|", "\\|")

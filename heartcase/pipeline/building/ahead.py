@@ -1,0 +1,56 @@
+"""Work of the last stage, begun as soon as what it takes is there: the stages between leave cores idle now and then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import TracebackType
+from typing import Any
+
+import numba
+
+from heartcase.pipeline.kernels.parallel import may_share
+from heartcase.pipeline.stages.stage import Work
+
+__all__ = ["Ahead"]
+
+
+class Ahead:
+    """A thread for it; as a context, what nobody asked for is given up at its end.
+
+    Parameters
+    ----------
+    work
+        What the stages have made so far; told of what is begun.
+    """
+
+    def __init__(self, work: Work) -> None:
+        self._work = work
+        self._pool = ThreadPoolExecutor(
+            1, "heartcase-ahead", initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
+        )
+
+    def __enter__(self) -> Ahead:
+        """Nothing is begun yet."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Give up what is not begun, and wait for what is."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def look(self) -> None:
+        """Begin what can be begun, where the stages have computed, and not found, what it takes."""
+        from heartcase.pipeline.bundle.assembly import measured, normal_maps
+
+        outputs = self._work.outputs
+        if outputs.structures is not None and outputs.structures.value is not None:
+            structures = outputs.structures.value
+            self._begin("measured", lambda: measured(structures))
+        if outputs.surface is not None and outputs.surface.value is not None:
+            surface = outputs.surface.value
+            self._begin("normal_maps", lambda: normal_maps(self._work.recipe, surface))
+
+    def _begin(self, name: str, function: Callable[[], Any]) -> None:
+        if name not in self._work.begun and may_share():
+            future: Future[Any] = self._pool.submit(function)
+            self._work.begun[name] = future.result
