@@ -117,6 +117,7 @@ gpu: export NUMBA_ENABLE_CUDASIM = 0
 gpu: export HEARTCASE_LATTICES ?= out/lattices
 gpu: $(if $(filter file,$(origin GPU_PYTHON)),$(VENV)-gpu/installed)
 	mkdir -p $(GPU_OUT)
+	rm -f $(GPU_OUT)/tests.xml $(GPU_OUT)/violence.json $(GPU_OUT)/bench.json $(GPU_OUT)/summary.md
 	$(GPU_PYTHON) -m tests.parity.gpu
 	-$(GPU_PYTHON) -m pytest -n $(GPU_JOBS) -p no:cacheprovider -p no:benchmark --durations 10 --junitxml $(GPU_OUT)/tests.xml \
 	  -m 'not slow and not versions' -k 'cuda or gpu' tests/parity tests/simulator/instruments/test_hands.py \

@@ -58,10 +58,10 @@ def field_texts(model: type[BaseModel]) -> dict[str, str]:
         if not issubclass(base, BaseModel) or base is BaseModel:
             continue
         try:
-            source = inspect.getsource(base)
-        except (OSError, TypeError):  # an installation without sources
+            parsed = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        except (OSError, TypeError, SyntaxError):  # an installation without sources, or a class within a function
             continue
-        body = cast("ast.ClassDef", ast.parse(textwrap.dedent(source)).body[0]).body
+        body = cast("ast.ClassDef", parsed).body
         for field, text in pairwise(body):
             if (
                 isinstance(field, ast.AnnAssign)

@@ -31,7 +31,8 @@ def tests_told(path: Path) -> list[str]:
     head = (
         f"{count - skipped - len(wrong)} of {count} passed, {skipped} skipped, in {float(suite.get('time', 0)):.0f} s."
     )
-    return [head, *(f"- failed: `{name}`" for name in wrong)]
+    none = ["- failed: not one test ran"] if count == skipped else []
+    return [head, *none, *(f"- failed: `{name}`" for name in wrong)]
 
 
 def violence_told(path: Path) -> list[str]:
@@ -46,6 +47,7 @@ def violence_told(path: Path) -> list[str]:
             f"| {law} | {one['scripts']} | {len(one['broke_down'])} | in {len(left)} | {max(left.values(), default=0)} "
             f"| {one['settled_s']:.2f} s | {len(one['at_the_limit'])} |"
         )
+        lines += [f"- failed: {law}, script {broken['seed']}" for broken in one["broke_down"]]
     return lines
 
 

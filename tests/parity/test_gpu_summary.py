@@ -27,6 +27,7 @@ def test_what_failed_and_what_is_missing_is_told(tmp_path):
     assert "1 of 3 passed, 1 skipped, in 12 s." in page
     assert "- failed: `a.two`" in page
     assert "| springs | 3 | 1 | in 1 | 2 | 0.10 s | 0 |" in page
+    assert "- failed: springs, script 2" in page
     assert "| element | 1 | 0 | in 0 | 0 | 0.10 s | 1 |" in page
     assert "`bench.json` is missing" in page
     record = {"case": "c", "method": "m", "seconds": 0.25, "errors": {"off [mm]": 1.5}}

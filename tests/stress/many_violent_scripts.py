@@ -11,7 +11,7 @@ import argparse
 import json
 import multiprocessing
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,14 @@ def run_some(law: str, backend: str, seeds: range, end: float) -> list[dict[str,
         told = {"left": done.inverted_left, "most": done.inverted_most, "settled_s": done.settled_s}
         outcomes.append(outcome | told | {"hurried": done.hurried_left, "is_finite": bool(np.isfinite(done.way_most))})
     return outcomes
+
+
+def _of(law: str, part: range, done: Future[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """Outcomes of a part; where its process died, one that says so."""
+    try:
+        return done.result()
+    except Exception as error:
+        return [{"law": law, "seed": part[0], "error": f"{type(error).__name__}: {error}"}]
 
 
 def summary(outcomes: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -75,8 +83,8 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as team:
         seeds = range(options.scripts)
         parts = [seeds[first : first + SCRIPTS_AT_ONCE] for first in range(0, len(seeds), SCRIPTS_AT_ONCE)]
-        begun = [team.submit(run_some, law, options.backend, part, end) for part in parts for law in LAWS]
-        outcomes = [one for done in begun for one in done.result()]
+        begun = [(law, part, team.submit(run_some, law, options.backend, part, end)) for part in parts for law in LAWS]
+        outcomes = [one for law, part, done in begun for one in _of(law, part, done)]
     laws = summary(outcomes)
     told = {"backend": options.backend, "seconds": round(time.time() - begin), "laws": laws, "outcomes": outcomes}
     options.json.parent.mkdir(parents=True, exist_ok=True)

@@ -26,6 +26,7 @@ class Ahead:
 
     def __init__(self, work: Work) -> None:
         self._work = work
+        self._is_over = False
         self._pool = ThreadPoolExecutor(
             1, "heartcase-ahead", initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
         )
@@ -35,7 +36,8 @@ class Ahead:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """Give up what is not begun, and wait for what is."""
+        """Give up what is not begun, and wait for what is: not for long."""
+        self._is_over = True
         self._pool.shutdown(cancel_futures=True)
 
     def look(self) -> None:
@@ -45,7 +47,7 @@ class Ahead:
         outputs = self._work.outputs
         if outputs.structures is not None and outputs.structures.value is not None:
             structures = outputs.structures.value
-            self._begin("measured", lambda: measured(structures))
+            self._begin("measured", lambda: measured(structures, lambda: not self._is_over))
         if outputs.surface is not None and outputs.surface.value is not None:
             surface = outputs.surface.value
             self._begin("normal_maps", lambda: normal_maps(self._work.recipe, surface))

@@ -155,6 +155,7 @@ def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
     runner.announce(BUNDLE.name)
     start = time.perf_counter()
     assembled: AssembledCase = BUNDLE.compute(work)
+    work.begun.clear()  # a volume of labels that nobody reads any more
     runner.seconds[BUNDLE.name] = time.perf_counter() - start
     changed = write_bundle(case, assembled.content)
     _finished(runner, BUNDLE.name, time.perf_counter() - start, reused=not changed)

@@ -107,11 +107,13 @@ def labels_of(structures: Structures) -> Segmentation:
     return Segmentation(labels, structures.geometry, structures.table)
 
 
-def measured(structures: Structures) -> tuple[dict[int, float], Segmentation]:
-    """Volume of every structure, label value -> ml, and :func:`labels_of`."""
+def measured(
+    structures: Structures, is_wanted: Callable[[], bool] = lambda: True
+) -> tuple[dict[int, float], Segmentation]:
+    """Volume of every structure, label value -> ml, and :func:`labels_of`; until it is not wanted any more."""
     from heartcase.pipeline.walls.grow_walls import structure_volumes_ml
 
-    return structure_volumes_ml(structures), labels_of(structures)
+    return structure_volumes_ml(structures, is_wanted), labels_of(structures)
 
 
 def normal_maps(recipe: Recipe, surface: Surface | None) -> list[bytes]:

@@ -8,7 +8,8 @@ is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import replace
 
 import numpy as np
@@ -163,18 +164,32 @@ def resolve_walls(settings: WallsSettings, geometry: Geometry, table: LabelTable
     return ResolvedWalls.of(settings, smoothing_mm=smoothing, band_mm=band)
 
 
-def structure_volumes_ml(structures: Structures) -> dict[int, float]:
+def structure_volumes_ml(structures: Structures, is_wanted: Callable[[], bool] = lambda: True) -> dict[int, float]:
     """Volume of every structure within the volume's voxels, by who owns the eight sub-voxels of each voxel.
+
+    Parameters
+    ----------
+    structures
+        The structures.
+    is_wanted
+        Asked every 8 million points.
 
     Returns
     -------
     dict
         Label value -> millilitres, for every label that owns a point.
+
+    Raises
+    ------
+    CancelledError
+        It is not wanted any more.
     """
     fine = structures.geometry.refined(2)
     slab = max(1, 8_000_000 // (fine.size[0] * fine.size[1]))
     counts = np.zeros(256, np.int64)
     for start in range(0, fine.size[2], slab):
+        if not is_wanted():
+            raise CancelledError
         part = fine.cropped((0, 0, start), (fine.size[0], fine.size[1], min(slab, fine.size[2] - start)))
         owner = ownership_on_lattice(structures, part)
         count_owners(owner.tissue_mm.ravel(), owner.tissue_label.ravel(), owner.void_label.ravel(), counts)

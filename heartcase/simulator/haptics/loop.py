@@ -62,7 +62,13 @@ def first_state(time_s: float, reading: DeviceReading) -> ServoState:
 
 
 def servo_update(
-    state: ServoState, time_s: float, reading: DeviceReading, tissue: TissueSample | None, settings: ServoSettings
+    state: ServoState,
+    time_s: float,
+    reading: DeviceReading,
+    tissue: TissueSample | None,
+    settings: ServoSettings,
+    *,
+    waited_s: float | None = None,
 ) -> ServoState:
     """The state of the loop one update later; its ``load`` is what the device shall put out now.
 
@@ -78,11 +84,14 @@ def servo_update(
         The newest state of the tissue, or None.
     settings
         Coupling, limits, fade.
+    waited_s
+        Time from the update before until what it gave was put out, s; the settings' when left out.
     """
     seconds = max(time_s - state.time_s, 0.0)
     hand = reading.pose
     moved = state.hand.gap_to(hand)
-    waited = min(settings.ahead_s, seconds) / seconds if seconds > 0.0 else 0.0
+    waited_s = settings.ahead_s if waited_s is None else waited_s
+    waited = min(waited_s, seconds) / seconds if seconds > 0.0 else 0.0
     account = state.account.after(state.load + waited * (state.earlier - state.load), moved)
     age_s = None if tissue is None else time_s - tissue.finished_s
     part = part_at_age(state.part, age_s, seconds, settings)
@@ -93,9 +102,6 @@ def servo_update(
     wanted = limited(within_credit(pull, moved / dt, account.credit_mj, settings), settings)
     within = followed(state.within, wanted, seconds, settings)
     return ServoState(time_s, hand, tool, within, part * within, part, account, state.load)
-
-
-_NO_TISSUE = np.zeros(21)
 
 
 class LoopNumbers:
@@ -114,6 +120,8 @@ class LoopNumbers:
     def __init__(self, time_s: float, reading: DeviceReading, settings: ServoSettings) -> None:
         self._settings = _setting_numbers(settings)
         self._hand = _pose_numbers(reading.pose)
+        self._motion, self._tissue = np.zeros(6), np.zeros(21)
+        self._ahead_s = settings.ahead_s
         self._numbers = np.zeros(LOOP_WIDTH)
         self._numbers[TIME] = time_s
         self._numbers[HAND:TOOL] = self._numbers[TOOL:MOTION] = self._hand
@@ -128,7 +136,9 @@ class LoopNumbers:
         loop = LoopNumbers(0.0, DeviceReading(ToolPose.at(np.zeros(3))), ServoSettings())
         loop.update(0.0, DeviceReading(ToolPose.at(np.zeros(3))), None)
 
-    def update(self, time_s: float, reading: DeviceReading, tissue: Float64 | None) -> None:
+    def update(
+        self, time_s: float, reading: DeviceReading, tissue: Float64 | None, waited_s: float | None = None
+    ) -> None:
         """Take the loop to its next update.
 
         Parameters
@@ -139,12 +149,18 @@ class LoopNumbers:
             What the device says now.
         tissue
             The newest state of the tissue as numbers (``TissueSample.row``), shape (21,), or None.
+        waited_s
+            Time from the update before until what it gave was put out, s; the settings' when left out.
         """
         self._hand[:3] = reading.pose.position_mm
         self._hand[3:] = reading.pose.turn.ravel()
-        motion = np.ascontiguousarray(reading.motion, dtype=np.float64).ravel()
-        sample = _NO_TISSUE if tissue is None else tissue
-        advance_loop(self._numbers, time_s, self._hand, motion, tissue is not None, sample, self._settings)
+        # Into arrays of its own: of others numba might compile the kernel anew, in the middle of a scene.
+        self._motion.reshape(2, 3)[:] = reading.motion
+        if tissue is not None:
+            self._tissue[:] = tissue
+        waited = self._ahead_s if waited_s is None else waited_s
+        given = (self._hand, self._motion, tissue is not None, self._tissue)
+        advance_loop(self._numbers, float(time_s), float(waited), *given, self._settings)
 
     @property
     def part(self) -> float:
@@ -183,7 +199,7 @@ def _pose_of(numbers: Float64) -> ToolPose:
 def _setting_numbers(settings: ServoSettings) -> Float64:
     """What the kernel reads, in its order: times, the account's damping, then pairs for force and torque."""
     fade = (settings.full_for_s, settings.none_from_s, settings.rise_s)
-    times = (settings.period_s, *fade, settings.spending_s, settings.ahead_s)
+    times = (settings.period_s, *fade, settings.spending_s)
     coupling = (settings.stiffness, settings.damping, settings.mass, settings.tissue_stiffness)
     pairs = (*coupling, settings.levers, settings.limits, settings.slew)
     return np.array([*times, settings.payback_n_s_m * 1e-3, *np.concatenate(pairs).ravel()])

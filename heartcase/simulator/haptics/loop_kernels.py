@@ -102,26 +102,26 @@ def _size(load, row):
 
 
 @kernel
-def advance_loop(loop, time_s, hand, hand_motion, has_tissue, tissue, settings):
+def advance_loop(loop, time_s, waited_s, hand, hand_motion, has_tissue, tissue, settings):
     """Take the loop to its next update.
 
     Parameters
     ----------
     loop
         Numbers of the loop, written, float64, shape (LOOP_WIDTH,).
-    time_s
-        The time now, s.
+    time_s, waited_s
+        The time now, and the time from the update before until what it gave was put out, s.
     hand, hand_motion
         What the device says: pose, mm, float64, shape (12,), and motion, mm/s, rad/s, shape (6,).
     has_tissue, tissue
         Whether there is a state of the tissue, and the newest, as of ``TissueSample.row``, shape (21,).
     settings
-        Period, ages of the fade, time of its rise, of spending, and ahead, s; the account's damping, N s/mm; then by
+        Period, ages of the fade, time of its rise, and of spending, s; the account's damping, N s/mm; then by
         twos, for force and torque: stiffness, damping, mass, most of the tissue's stiffness, lever, limit, slew of
-        ``ServoSettings``; shape (21,).
+        ``ServoSettings``; shape (20,).
     """
     period_s, full_for_s, none_from_s, rise_s = settings[0], settings[1], settings[2], settings[3]
-    spending_s, ahead_s, payback = settings[4], settings[5], settings[6]
+    spending_s, payback = settings[4], settings[5]
     gap, moved, pull, wanted = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     old_hand, tool, motion = loop[HAND:TOOL], loop[TOOL:MOTION], loop[MOTION:WITHIN]
     within, load, earlier = loop[WITHIN:LOAD], loop[LOAD:PART], loop[EARLIER:LOOP_WIDTH]
@@ -130,7 +130,7 @@ def advance_loop(loop, time_s, hand, hand_motion, has_tissue, tissue, settings):
 
     # The account at the hand.
     _set_gap(moved, old_hand, hand)
-    waited = min(ahead_s, seconds) / seconds if seconds > 0.0 else 0.0
+    waited = min(waited_s, seconds) / seconds if seconds > 0.0 else 0.0
     work = 0.0
     for axis in range(6):
         work += (load[axis] + waited * (earlier[axis] - load[axis])) * moved[axis]
@@ -153,10 +153,10 @@ def advance_loop(loop, time_s, hand, hand_motion, has_tissue, tissue, settings):
     _set_gap(gap, tool, hand)
     for row in range(2):
         stiffness, damping, mass, tissue_most = (
-            settings[7 + row],
-            settings[9 + row],
-            settings[11 + row],
-            settings[13 + row],
+            settings[6 + row],
+            settings[8 + row],
+            settings[10 + row],
+            settings[12 + row],
         )
         yields = 0.0
         if is_felt:
@@ -177,7 +177,7 @@ def advance_loop(loop, time_s, hand, hand_motion, has_tissue, tissue, settings):
     for axis in range(6):
         speed = moved[axis] / dt
         power += pull[axis] * speed
-        speed *= settings[15 + axis // 3]
+        speed *= settings[14 + axis // 3]
         square += speed * speed
     taken = 0.0
     if square >= STILL_MM_S * STILL_MM_S:
@@ -185,19 +185,19 @@ def advance_loop(loop, time_s, hand, hand_motion, has_tissue, tissue, settings):
         if credit_mj < 0.0:
             taken += min(payback, -credit_mj / (square * period_s))
     for axis in range(6):
-        lever = settings[15 + axis // 3]
+        lever = settings[14 + axis // 3]
         wanted[axis] = pull[axis] - taken * (moved[axis] / dt) * lever * lever
 
     # Limits of size and change, then the fade.
     for row in range(2):
-        most = settings[17 + row]
+        most = settings[16 + row]
         size = _size(wanted, row)
         if size > most:
             for axis in range(3 * row, 3 * row + 3):
                 wanted[axis] *= most / size
         for axis in range(3 * row, 3 * row + 3):
             wanted[axis] -= within[axis]
-        most, size = settings[19 + row] * seconds, _size(wanted, row)
+        most, size = settings[18 + row] * seconds, _size(wanted, row)
         share = most / size if size > most else 1.0
         for axis in range(3 * row, 3 * row + 3):
             within[axis] += wanted[axis] * share

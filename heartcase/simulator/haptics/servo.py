@@ -148,31 +148,42 @@ def run_loop(
         readings = [device.read(0.0) for device in devices]
         loops = [LoopNumbers(began_s, reading, settings) for reading in readings]
         due_s, number = began_s, 0
+        began = [began_s] * len(devices)
+        waited = [settings.ahead_s] * len(devices)
         while not is_ended():
             due_s = _wait_for_begin(due_s + settings.period_s, settings)
             numbers, finished_s = [], 0.0
-            for device, channel, loop in zip(devices, channels, loops, strict=True):
-                now_s = time.perf_counter()
+            for place, (device, channel, loop) in enumerate(zip(devices, channels, loops, strict=True)):
+                now_s = began[place] = time.perf_counter()
                 reading = device.read(now_s - began_s)
                 sample_number, tissue = channel.tissue_row()
-                loop.update(now_s, reading, tissue)
+                loop.update(now_s, reading, tissue, waited[place])
                 felt = (loop.part, loop.energy_mj)
                 channel.publish_numbers(now_s, loop.pose, loop.load, felt, reading.buttons, sample_number)
                 numbers.append(sample_number)
-                if tissue is not None and loop is loops[0]:
+                if tissue is not None and place == 0:
                     finished_s = float(tissue[0])
             # A sleep would end late.
             while time.perf_counter() < due_s:
                 pass
-            for device, loop in zip(devices, loops, strict=True):
+            for place, (device, loop) in enumerate(zip(devices, loops, strict=True)):
                 device.write(loop.load[0].copy(), loop.load[1].copy())
-            if log is not None and number < len(log):
-                log[number] = time.perf_counter(), numbers[0], finished_s, loops[0].part
+                written_s = time.perf_counter()
+                waited[place] = written_s - began[place]
+                if log is not None and place == 0 and number < len(log):
+                    log[number] = written_s, numbers[0], finished_s, loop.part
             number += 1
     finally:
         for device in devices:
-            device.write(np.zeros(3), np.zeros(3))
-            device.close()
+            _take_all_force_away(device)
+
+
+def _take_all_force_away(device: HapticDevice) -> None:
+    """Of one device, and give it back; one that fails leaves no other one pushing."""
+    with contextlib.suppress(Exception):
+        device.write(np.zeros(3), np.zeros(3))
+    with contextlib.suppress(Exception):
+        device.close()
 
 
 def _wait_for_begin(due_s: float, settings: ServoSettings) -> float:
@@ -200,10 +211,11 @@ def _serve(
     try:
         for spec in devices:
             opened.append(open_device(spec))
-    except HeartcaseError as error:
+    except Exception as error:
         for device in opened:
-            device.close()
-        tells.send(str(error))
+            _take_all_force_away(device)
+        # A device's own text may say anything: its kind must do.
+        tells.send(str(error) if isinstance(error, HeartcaseError) else f"a device failed with {type(error).__name__}")
         return
     LoopNumbers.prepare()
     tells.send("")
@@ -234,5 +246,5 @@ def _hurry() -> None:
     except OSError:
         return
     # On one core for good: else the simulation makes way for it on one core after the other.
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, AttributeError):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})

@@ -52,8 +52,9 @@ def test_the_kernel_is_the_oracle(seed, turn, speed, stiffness, late):
             load = rng.normal(size=(2, 3)) * np.array([[2.0], [60.0]])
             sample = TissueSample(time_s - late * rng.random(), pose, load, stiffness * np.array([1.0, 900.0]))
         reading = DeviceReading(hand, gap / 1e-3 * rng.random())
-        state = servo_update(numbers.state, time_s, reading, sample, limits)
-        numbers.update(time_s, reading, None if sample is None else sample.row())
+        waited_s = rng.choice([None, 0.0, 1e-4, 1.0])
+        state = servo_update(numbers.state, time_s, reading, sample, limits, waited_s=waited_s)
+        numbers.update(time_s, reading, None if sample is None else sample.row(), waited_s)
         now = numbers.state
         assert now.time_s == state.time_s
         assert_alike(now.part, state.part)

@@ -199,3 +199,30 @@ def test_force_is_taken_away_when_a_device_fails():
         run_loop([Failing()], [Channel()], SETTINGS, lambda: False)
     assert written[-1] == "closed"
     np.testing.assert_array_equal(written[-2], 0.0)
+
+
+def test_a_device_that_fails_leaves_no_other_one_pushing():
+    log = {"one": [], "other": []}
+
+    class Device:
+        def __init__(self, name, fails):
+            self.log, self.fails = log[name], fails
+
+        def read(self, time_s):
+            return DeviceReading(ToolPose.at(np.zeros(3)))
+
+        def write(self, force_n, torque_n_mm):
+            if self.fails and len(self.log) >= 2:
+                raise OSError("unplugged")
+            self.log.append(force_n.copy())
+
+        def close(self):
+            if self.fails:
+                raise OSError("unplugged")
+            self.log.append("closed")
+
+    devices = [Device("one", True), Device("other", False)]
+    with pytest.raises(OSError, match="unplugged"):
+        run_loop(devices, [Channel(), Channel()], SETTINGS, lambda: False)
+    assert log["other"][-1] == "closed"
+    np.testing.assert_array_equal(log["other"][-2], 0.0)

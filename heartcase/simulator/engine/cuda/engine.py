@@ -190,22 +190,28 @@ class CudaEngine:
             self._advance_with_cells(0, constants, probes, 0)
         works_cells = cells.always_act or len(probes) > 0
         look_steps = 0 if works_cells else cells.look_steps
-        left = step_count
+        left, idle_launches = step_count, 0
         while True:
-            count = min(left, STEPS_PER_LAUNCH)
+            count, looks = min(left, STEPS_PER_LAUNCH), look_steps
+            if idle_launches == 2:
+                # Each kernel leaves it to the other: their looks are rounded otherwise.
+                works_cells, count, looks = True, min(left, look_steps), 0
             if works_cells:
-                self._advance_with_cells(count, constants, probes, look_steps)
+                self._advance_with_cells(count, constants, probes, looks)
             else:
-                self._advance(count, constants, look_steps)
-            if look_steps or count < left:
-                self._cuda.synchronize()
-            if look_steps:
-                # what a look found is for the other kernel
-                works_cells ^= int(self._taken[0]) < count
-                count = int(self._taken[0])
-            self._current = (self._current + count) % 2
-            self.step_count += count
-            self._row_step += count
+                self._advance(count, constants, looks)
+            try:
+                if look_steps or count < left:
+                    self._cuda.synchronize()
+            finally:
+                if looks:
+                    # what a look found is for the other kernel
+                    works_cells ^= int(self._taken[0]) < count
+                    count = int(self._taken[0])
+                self._current = (self._current + count) % 2
+                self.step_count += count
+                self._row_step += count
+            idle_launches = 0 if count else idle_launches + 1
             probes = moved_on(probes, count)
             left -= count
             if not left:

@@ -1,0 +1,72 @@
+"""Work that is begun ahead: only where it was computed, once, and given up when the build ends early."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from types import SimpleNamespace
+
+import pytest
+
+from heartcase.pipeline.building import ahead
+from heartcase.pipeline.building.ahead import Ahead
+from heartcase.pipeline.stages.stage import Node
+from heartcase.pipeline.walls.grow_walls import structure_volumes_ml
+from tests.pipeline.analytic_structures import ball, lattice, structures
+
+
+def work_with(**outputs):
+    nodes = {"structures": None, "surface": None} | outputs
+    return SimpleNamespace(recipe="recipe", outputs=SimpleNamespace(**nodes), begun={})
+
+
+def test_what_was_computed_is_begun_once(monkeypatch):
+    calls = []
+    monkeypatch.setattr(ahead, "may_share", lambda: True)
+    monkeypatch.setattr("heartcase.pipeline.bundle.assembly.measured", lambda *given: calls.append(given[0]) or "m")
+    monkeypatch.setattr("heartcase.pipeline.bundle.assembly.normal_maps", lambda *given: calls.append(given) or "n")
+    work = work_with(structures=Node("", lambda: None))
+    with Ahead(work) as begun:
+        begun.look()
+        assert work.begun == {}  # found in the cache, and not loaded by anybody
+        work.outputs.structures.value = "fields"
+        begun.look(), begun.look()
+        work.outputs.surface = Node("", lambda: None, "surface")
+        begun.look(), begun.look()
+        assert {name: result() for name, result in work.begun.items()} == {"measured": "m", "normal_maps": "n"}
+    assert calls == ["fields", ("recipe", "surface")]
+
+
+def test_nothing_is_begun_where_there_is_one_thread(monkeypatch):
+    monkeypatch.setattr(ahead, "may_share", lambda: False)
+    work = work_with(structures=Node("", lambda: None, "fields"))
+    with Ahead(work) as begun:
+        begun.look()
+    assert work.begun == {}
+
+
+def test_a_build_that_ends_early_gives_it_up(monkeypatch):
+    started, asked = threading.Event(), []
+
+    def measured(structures, is_wanted):
+        started.set()
+        while is_wanted():
+            asked.append(True)
+
+    monkeypatch.setattr(ahead, "may_share", lambda: True)
+    monkeypatch.setattr("heartcase.pipeline.bundle.assembly.measured", measured)
+    work = work_with(structures=Node("", lambda: None, "fields"), surface=Node("", lambda: None, "surface"))
+    with suppress(KeyboardInterrupt), Ahead(work) as begun:
+        begun.look()
+        assert started.wait(10.0)
+        raise KeyboardInterrupt
+    with pytest.raises(CancelledError):
+        work.begun["normal_maps"]()  # it waited for the first
+
+
+def test_volumes_that_nobody_wants_any_more_are_given_up():
+    shapes = structures({1: ball(8.0)}, lattice(20.0))
+    assert sum(structure_volumes_ml(shapes).values()) > 0.0
+    with pytest.raises(CancelledError):
+        structure_volumes_ml(shapes, lambda: False)
