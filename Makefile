@@ -5,7 +5,7 @@
 # make bench  run time against error (minutes)
 # make versions  every kernel compiles, and a sample case comes out as on the Python that ran this before
 # make lowest, make newest  the same with the oldest packages that pyproject.toml allows, and with the newest there are
-# make gpu    what only an NVIDIA GPU can show: tests and benchmarks of its engine (ten minutes)
+# make gpu    what only an NVIDIA GPU can show: tests, violent scripts and benchmarks of its engine (some twelve minutes)
 # All need Python 3.11, 3.12 or 3.13, and make. Another Python: make case PYTHON=python3.12 VENV=.venv-3.12
 
 PYTHON ?= python3
@@ -107,7 +107,8 @@ newest:
 	$(MAKE) versions VENV=$(VENV)-newest OTHER_PACKAGES=1
 
 # An environment that has numba-cuda and pytest already: make gpu GPU_PYTHON=python3. A machine without the pipeline takes
-# lattices (python -m benchmarks.lattices out/lattices) and a case that another one made.
+# lattices (python -m benchmarks.lattices out/lattices) and a case that another one made. Less time: GPU_JOBS, up to the cores
+# that there are, and GPU_VIOLENT_SECONDS, after which no script is begun. out/gpu/summary.md sums up.
 GPU_PYTHON ?= $(VENV)-gpu/bin/python
 GPU_OUT ?= out/gpu
 GPU_JOBS ?= 6
