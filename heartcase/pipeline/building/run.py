@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
-from heartcase.pipeline.building.ahead import Ahead
 from heartcase.pipeline.building.kernels_ahead import kernels_ahead
 from heartcase.pipeline.building.lock import check_lock
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
+from heartcase.pipeline.building.work_ahead import WorkAhead
 from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle
 from heartcase.pipeline.markers.placeholders import placeholder_problems
 from heartcase.pipeline.stages.bundle import STAGE as BUNDLE
@@ -115,7 +115,7 @@ def build_case(
     work = Work(recipe, directory, cache=store)
 
     def after(stage: str) -> None:
-        """Once the scan is known, refuse what does not suit it, and state every setting."""
+        """Once the scan is known, refuse what does not suit it, and state every setting; then begin what can be."""
         if stage != "read":
             if until in (None, BUNDLE.name):
                 ahead.look()
@@ -129,7 +129,7 @@ def build_case(
         if until in (None, BUNDLE.name) and not replace:
             check_replacement(out / f"{recipe.name}.case", resolved.case_id)
 
-    with kernels_ahead(recipe, until=until, processes=compile_processes), Ahead(work) as ahead:
+    with kernels_ahead(recipe, until=until, processes=compile_processes), WorkAhead(work) as ahead:
         run_stages(runner, work, until=until, after=after)
         if until not in (None, BUNDLE.name):
             warnings = work.told["lock"]

@@ -77,7 +77,7 @@ class StageResults:
     told: Mapping[str, Sequence[CaseWarning]] = field(default_factory=dict)
     """Warnings that are not in these outputs, by their source: a part of :data:`SOURCES`."""
     begun: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
-    """What gives the results of :func:`measured` and :func:`normal_maps`, where they are worked out ahead."""
+    """What gives the results of :func:`volumes_and_labels` and :func:`normal_maps`, where they are worked out ahead."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def labels_of(structures: Structures) -> Segmentation:
     return Segmentation(labels, structures.geometry, structures.table)
 
 
-def measured(
+def volumes_and_labels(
     structures: Structures, is_wanted: Callable[[], bool] = lambda: True
 ) -> tuple[dict[int, float], Segmentation]:
     """Volume of every structure, label value -> ml, and :func:`labels_of`; until it is not wanted any more."""
@@ -196,7 +196,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     labels: Segmentation | None = None
     # Compressing the normal maps takes one thread, and as long as the kernels that measure take both.
     found, maps = side_by_side(
-        results.begun.get("measured", lambda: None if structures is None else measured(structures)),
+        results.begun.get("volumes_and_labels", lambda: None if structures is None else volumes_and_labels(structures)),
         results.begun.get("normal_maps", lambda: normal_maps(recipe, surface)),
     )
     if structures is not None and found is not None:

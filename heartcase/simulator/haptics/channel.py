@@ -10,7 +10,6 @@ import numpy as np
 from heartcase.schemas.arrays import Float64
 from heartcase.simulator.haptics.coupling import TissueSample
 from heartcase.simulator.haptics.hand_over import Ring, shared_memory
-from heartcase.simulator.haptics.loop import ServoState
 from heartcase.simulator.haptics.poses import ToolPose
 
 __all__ = ["Channel", "Felt", "ToolHistory"]
@@ -83,23 +82,7 @@ class Channel:
         """Number of the newest state of the tissue, and the state as numbers (``TissueSample.row``), shape (21,)."""
         return self._tissue.latest() or (0, None)
 
-    def publish_tool(self, state: ServoState, buttons: tuple[bool, ...], sample_number: int) -> None:
-        """Hand what the loop did to the simulation.
-
-        Parameters
-        ----------
-        state
-            The loop after its update.
-        buttons
-            Which of the device's buttons are down.
-        sample_number
-            Number of the state of the tissue that the force came from; 0 before the first.
-        """
-        pose = np.concatenate([state.tool.pose.position_mm, state.tool.pose.turn.ravel()])
-        felt = (state.part, state.account.energy_mj)
-        self.publish_numbers(state.time_s, pose, state.load, felt, buttons, sample_number)
-
-    def publish_numbers(
+    def publish_tool(
         self,
         time_s: float,
         pose: Float64,
@@ -108,7 +91,7 @@ class Channel:
         buttons: tuple[bool, ...],
         sample_number: int,
     ) -> None:
-        """:meth:`publish_tool` without the objects.
+        """Hand what the loop did to the simulation.
 
         Parameters
         ----------
@@ -120,8 +103,10 @@ class Channel:
             What is put out: N, N mm, shape (2, 3).
         felt
             Part of the force that is put out, and what the hand has put in less what it got back, mJ.
-        buttons, sample_number
-            As of :meth:`publish_tool`.
+        buttons
+            Which of the device's buttons are down.
+        sample_number
+            Number of the state of the tissue that the force came from; 0 before the first.
         """
         row = self._row
         row[0] = time_s

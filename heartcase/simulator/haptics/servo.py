@@ -159,7 +159,7 @@ def run_loop(
                 sample_number, tissue = channel.tissue_row()
                 loop.update(now_s, reading, tissue, waited[place])
                 felt = (loop.part, loop.energy_mj)
-                channel.publish_numbers(now_s, loop.pose, loop.load, felt, reading.buttons, sample_number)
+                channel.publish_tool(now_s, loop.pose, loop.load, felt, reading.buttons, sample_number)
                 numbers.append(sample_number)
                 if tissue is not None and place == 0:
                     finished_s = float(tissue[0])

@@ -67,6 +67,13 @@ def wall(seed: int, n_mm: float) -> Callable[[ToolPose], np.ndarray]:
     return load
 
 
+def publish(channel, state: ServoState, buttons=(), sample_number=0) -> None:
+    """What the loop in NumPy did, as the loop itself hands it over."""
+    pose = np.concatenate([state.tool.pose.position_mm, state.tool.pose.turn.ravel()])
+    felt = (state.part, state.account.energy_mj)
+    channel.publish_tool(state.time_s, pose, state.load, felt, buttons, sample_number)
+
+
 def work_on_hand(state: ServoState, hand_at, time_s: float, settings: ServoSettings) -> float:
     """Work from an update to a time before the next, mJ: what was put out before acts on until the update is due."""
     due, hand = hand_at(min(state.time_s + settings.ahead_s, time_s)), hand_at(time_s)

@@ -18,7 +18,7 @@ from heartcase.simulator.haptics.servo import HapticServo, run_loop
 from heartcase.simulator.haptics.settings import ServoSettings
 from heartcase.simulator.haptics.tissue_side import FeltInstrument, TissueSide
 from heartcase.simulator.simulation import Simulation
-from tests.simulator.haptics.late_tissue import closed_path, work_on_hand
+from tests.simulator.haptics.late_tissue import closed_path, publish, work_on_hand
 from tests.simulator.lattices import block, oblique_geometry
 
 SETTINGS = ServoSettings()
@@ -97,7 +97,7 @@ def test_a_session_in_made_up_time_pulls_the_tissue_and_feels_it():
         reading = DeviceReading(ToolPose(closed_at.position_mm + way, closed_at.turn))
         number, tissue = channel.tissue()
         state = servo_update(state, clock[0], reading, tissue, SETTINGS)
-        channel.publish_tool(state, (True,), number)
+        publish(channel, state, (True,), number)
     assert number == 2 * 187  # before the first segment nothing is known of the tool
     felt = channel.felt()
     assert felt.buttons == 1
@@ -137,7 +137,7 @@ def test_a_closed_path_through_moving_tissue_gives_out_no_energy(seed):
         given_mj += work_on_hand(state, hand_at, clock[0], SETTINGS)
         number, tissue = channel.tissue()
         state = servo_update(state, clock[0], DeviceReading(hand, moved / step_s), tissue, SETTINGS)
-        channel.publish_tool(state, (), number)
+        publish(channel, state, (), number)
         force_most = max(force_most, float(np.linalg.norm(state.load[0])))
     assert given_mj <= 0.0
     # The account takes the hand to move evenly from one update to the next.

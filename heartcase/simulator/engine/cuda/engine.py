@@ -96,8 +96,9 @@ class CudaEngine:
     def __init__(self, model: LatticeModel, *, resident: bool | None = None) -> None:
         self._cuda = _cuda()
         from heartcase.simulator.engine.cuda import kernel as kernel_cuda
+        from heartcase.simulator.engine.cuda import node_kernels
 
-        self._kernels = kernel_cuda
+        self._kernels, self._node_kernels = kernel_cuda, node_kernels
         self.model = model
         layout = lane_layout(model)
         self._layout = layout
@@ -136,7 +137,7 @@ class CudaEngine:
     def read(self) -> State:
         """A copy of the state."""
         first = self._current * self._lane_count
-        gather = self._kernels.gather_nodes[plain_launch(self.model.node_count)]
+        gather = self._node_kernels.gather_nodes[plain_launch(self.model.node_count)]
         gather(self._displacement, first, self._node_lane, self._shown.displacement)
         gather(self._velocity, 0, self._node_lane, self._shown.velocity)
         self._cuda.synchronize()
@@ -145,7 +146,7 @@ class CudaEngine:
     def displacement_on_device(self) -> Any:
         """Displacement of every node [cells] on the device, shape (node_count, 3), until it is asked for again."""
         first = self._current * self._lane_count
-        gather = self._kernels.gather_nodes[plain_launch(self.model.node_count)]
+        gather = self._node_kernels.gather_nodes[plain_launch(self.model.node_count)]
         gather(self._displacement, first, self._node_lane, self._by_node)
         return self._by_node
 
@@ -161,7 +162,7 @@ class CudaEngine:
         given.nodes[: len(nodes)] = nodes
         given.displacement[: len(nodes)] = displacement
         given.velocity[: len(nodes)] = velocity
-        self._kernels.scatter_nodes[plain_launch(len(nodes))](
+        self._node_kernels.scatter_nodes[plain_launch(len(nodes))](
             len(nodes),
             given.nodes,
             given.displacement,
@@ -175,7 +176,7 @@ class CudaEngine:
 
     def set_inverse_mass(self, inverse_mass: Float32) -> None:
         """Inverse masses; nodes at zero keep their velocity."""
-        self._kernels.write_inverse_mass[plain_launch(len(inverse_mass))](
+        self._node_kernels.write_inverse_mass[plain_launch(len(inverse_mass))](
             self._cuda.to_device(np.ascontiguousarray(inverse_mass, np.float32)), self._node_lane, self._velocity
         )
 

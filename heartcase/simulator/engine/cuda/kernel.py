@@ -32,16 +32,13 @@ __all__ = [
     "advance_resident",
     "advance_streaming",
     "force_of_springs",
-    "gather_nodes",
     "next_velocity",
     "node_forces",
     "pull_by_tethers",
     "pull_explicitly",
     "rows_of",
-    "scatter_nodes",
     "start_meeting",
     "weights_of",
-    "write_inverse_mass",
 ]
 
 RESIDENT_THREADS = 512
@@ -472,31 +469,3 @@ def node_forces(
         if tethers[3].shape[0] > 0:
             f = pull_by_tethers(f, displacement, now, node, 0, tethers)
         force[number, 0], force[number, 1], force[number, 2] = f[0], f[1], f[2]
-
-
-@cuda.jit
-def gather_nodes(by_lane, first, node_lane, by_node):
-    """Copy x, y, z of the vectors by lane, from vector ``first`` on, to the nodes, shape (node_count, 3)."""
-    node = cuda.grid(1)
-    if node < node_lane.shape[0]:
-        vector = load_four(by_lane, _U(first + node_lane[node]))
-        by_node[node, 0], by_node[node, 1], by_node[node, 2] = vector[0], vector[1], vector[2]
-
-
-@cuda.jit
-def scatter_nodes(count, nodes, displacement_of, velocity_of, node_lane, first, displacement, velocity):
-    """Write displacements and velocities of ``count`` nodes, shape (at least count, 3) each, into their lanes."""
-    number = cuda.grid(1)
-    if number < count:
-        lane = node_lane[nodes[number]]
-        u, v = displacement_of[number], velocity_of[number]
-        store_four(displacement, _U(first + lane), u[0], u[1], u[2], _O)
-        store_four(velocity, lane, v[0], v[1], v[2], load_four(velocity, lane)[3])
-
-
-@cuda.jit
-def write_inverse_mass(inverse_mass, node_lane, velocity):
-    """Write the nodes' inverse masses, shape (node_count,), into their lanes."""
-    node = cuda.grid(1)
-    if node < node_lane.shape[0]:
-        velocity[4 * node_lane[node] + 3] = inverse_mass[node]

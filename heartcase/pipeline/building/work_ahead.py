@@ -12,10 +12,10 @@ import numba
 from heartcase.pipeline.kernels.parallel import may_share
 from heartcase.pipeline.stages.stage import Work
 
-__all__ = ["Ahead"]
+__all__ = ["WorkAhead"]
 
 
-class Ahead:
+class WorkAhead:
     """A thread for it; as a context, what nobody asked for is given up at its end.
 
     Parameters
@@ -31,7 +31,7 @@ class Ahead:
             1, "heartcase-ahead", initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
         )
 
-    def __enter__(self) -> Ahead:
+    def __enter__(self) -> WorkAhead:
         """Nothing is begun yet."""
         return self
 
@@ -42,12 +42,12 @@ class Ahead:
 
     def look(self) -> None:
         """Begin what can be begun, where the stages have computed, and not found, what it takes."""
-        from heartcase.pipeline.bundle.assembly import measured, normal_maps
+        from heartcase.pipeline.bundle.assembly import normal_maps, volumes_and_labels
 
         outputs = self._work.outputs
         if outputs.structures is not None and outputs.structures.value is not None:
             structures = outputs.structures.value
-            self._begin("measured", lambda: measured(structures, lambda: not self._is_over))
+            self._begin("volumes_and_labels", lambda: volumes_and_labels(structures, lambda: not self._is_over))
         if outputs.surface is not None and outputs.surface.value is not None:
             surface = outputs.surface.value
             self._begin("normal_maps", lambda: normal_maps(self._work.recipe, surface))

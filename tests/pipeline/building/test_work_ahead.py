@@ -9,11 +9,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from heartcase.pipeline.building import ahead
-from heartcase.pipeline.building.ahead import Ahead
+from heartcase.pipeline.building import work_ahead
+from heartcase.pipeline.building.work_ahead import WorkAhead
 from heartcase.pipeline.stages.stage import Node
 from heartcase.pipeline.walls.grow_walls import structure_volumes_ml
 from tests.pipeline.analytic_structures import ball, lattice, structures
+
+ASSEMBLY = "heartcase.pipeline.bundle.assembly"
 
 
 def work_with(**outputs):
@@ -23,25 +25,30 @@ def work_with(**outputs):
 
 def test_what_was_computed_is_begun_once(monkeypatch):
     calls = []
-    monkeypatch.setattr(ahead, "may_share", lambda: True)
-    monkeypatch.setattr("heartcase.pipeline.bundle.assembly.measured", lambda *given: calls.append(given[0]) or "m")
-    monkeypatch.setattr("heartcase.pipeline.bundle.assembly.normal_maps", lambda *given: calls.append(given) or "n")
+    monkeypatch.setattr(work_ahead, "may_share", lambda: True)
+    monkeypatch.setattr(
+        "heartcase.pipeline.bundle.assembly.volumes_and_labels", lambda *given: calls.append(given[0]) or "m"
+    )
+    monkeypatch.setattr(f"{ASSEMBLY}.normal_maps", lambda *given: calls.append(given) or "n")
     work = work_with(structures=Node("", lambda: None))
-    with Ahead(work) as begun:
+    with WorkAhead(work) as begun:
         begun.look()
         assert work.begun == {}  # found in the cache, and not loaded by anybody
         work.outputs.structures.value = "fields"
         begun.look(), begun.look()
         work.outputs.surface = Node("", lambda: None, "surface")
         begun.look(), begun.look()
-        assert {name: result() for name, result in work.begun.items()} == {"measured": "m", "normal_maps": "n"}
+        assert {name: result() for name, result in work.begun.items()} == {
+            "volumes_and_labels": "m",
+            "normal_maps": "n",
+        }
     assert calls == ["fields", ("recipe", "surface")]
 
 
 def test_nothing_is_begun_where_there_is_one_thread(monkeypatch):
-    monkeypatch.setattr(ahead, "may_share", lambda: False)
+    monkeypatch.setattr(work_ahead, "may_share", lambda: False)
     work = work_with(structures=Node("", lambda: None, "fields"))
-    with Ahead(work) as begun:
+    with WorkAhead(work) as begun:
         begun.look()
     assert work.begun == {}
 
@@ -49,15 +56,15 @@ def test_nothing_is_begun_where_there_is_one_thread(monkeypatch):
 def test_a_build_that_ends_early_gives_it_up(monkeypatch):
     started, asked = threading.Event(), []
 
-    def measured(structures, is_wanted):
+    def worked_out(structures, is_wanted):
         started.set()
         while is_wanted():
             asked.append(True)
 
-    monkeypatch.setattr(ahead, "may_share", lambda: True)
-    monkeypatch.setattr("heartcase.pipeline.bundle.assembly.measured", measured)
+    monkeypatch.setattr(work_ahead, "may_share", lambda: True)
+    monkeypatch.setattr(f"{ASSEMBLY}.volumes_and_labels", worked_out)
     work = work_with(structures=Node("", lambda: None, "fields"), surface=Node("", lambda: None, "surface"))
-    with suppress(KeyboardInterrupt), Ahead(work) as begun:
+    with suppress(KeyboardInterrupt), WorkAhead(work) as begun:
         begun.look()
         assert started.wait(10.0)
         raise KeyboardInterrupt
