@@ -126,7 +126,8 @@ def test_every_method_finds_the_shells(method):
     assert (found.labels == inputs.true_labels).mean() > 0.93
 
 
-METHODS_OF_SCANS = ("heartcase", "heartcase_other", "gradient", "gradient_blurred", "curvature", "curvature_blurred")
+OURS = ("heartcase", "heartcase_other", "heartcase_floor")
+METHODS_OF_SCANS = (*OURS, "gradient", "gradient_blurred", "curvature", "curvature_blurred")
 
 
 @pytest.mark.parametrize("method", METHODS_OF_SCANS)
@@ -148,6 +149,7 @@ def test_every_method_finds_the_shells_from_the_scan_for_each_set_of_markers(met
     assert (found[0] == truth).mean() > 0.9
     errors = scan_to_labels.errors(inputs, (truth, np.zeros_like(truth)))
     assert errors["all labels Dice [1]"] == errors["left ventricle Dice [1]"] == 0.5
+    assert errors["its standard error [1]"] == pytest.approx(0.5)  # of 1 and 0
 
 
 def test_the_random_walker_says_why_it_is_left_out():

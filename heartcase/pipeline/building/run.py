@@ -12,11 +12,10 @@ from heartcase.pipeline.artifacts.cache import Cache, stage_key
 from heartcase.pipeline.building.kernels_ahead import kernels_ahead
 from heartcase.pipeline.building.lock import check_lock
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
-from heartcase.pipeline.building.work_ahead import WorkAhead
+from heartcase.pipeline.building.work_ahead import WorkAhead, sureness
 from heartcase.pipeline.bundle.write_bundle import check_place, check_replacement, write_bundle
 from heartcase.pipeline.markers.placeholders import placeholder_problems
 from heartcase.pipeline.stages.bundle import STAGE as BUNDLE
-from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.pipeline.stages.table import REPORT, stage_names
 from heartcase.pipeline.warnings import CaseWarning, warnings_of
@@ -29,7 +28,6 @@ from heartcase.schemas.recipe.recipe import Recipe
 
 if TYPE_CHECKING:
     from heartcase.pipeline.bundle.assembly import AssembledCase
-    from heartcase.pipeline.markers.confidence import Sureness
 
 __all__ = ["BuildListener", "BuildResult", "build_case"]
 
@@ -155,7 +153,7 @@ def _finish(runner: Runner, work: Work, out: Path) -> BuildResult:
     runner.announce(BUNDLE.name)
     start = time.perf_counter()
     assembled: AssembledCase = BUNDLE.compute(work)
-    work.begun.clear()  # a volume of labels that nobody reads any more
+    work.begun.pop("structure_figures", None)  # a volume of labels that nobody reads any more
     runner.seconds[BUNDLE.name] = time.perf_counter() - start
     changed = write_bundle(case, assembled.content)
     _finished(runner, BUNDLE.name, time.perf_counter() - start, reused=not changed)
@@ -184,7 +182,8 @@ def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:
     outputs = work.outputs
     return build_report(
         ReportInputs(
-            sureness=lambda: _sureness(work),
+            sureness=work.begun.get("sureness", lambda: sureness(work)),
+            thickness_mm=work.begun.get("thickness"),
             recipe=work.recipe,
             rules=work.rules,
             scan=have(outputs.scan).get(),
@@ -203,15 +202,6 @@ def _report(runner: Runner, work: Work, assembled: AssembledCase) -> str:
             bundle_sha256=assembled.content.sha256,
         )
     )
-
-
-def _sureness(work: Work) -> Sureness | None:
-    """How sure the watershed is, from the tree that the cache keeps; None for other methods."""
-    from heartcase.pipeline.markers.confidence import sureness_of
-
-    if work.outputs.markers is None:
-        return None
-    return sureness_of(filtered_tree(work), work.outputs.markers.get())
 
 
 def _unchanged(case: Path, report: Path, cache: Cache, key: str) -> CaseManifest | None:

@@ -1,18 +1,23 @@
-"""Work of the last stage, begun as soon as what it takes is there: the stages between leave cores idle now and then."""
+"""Work of the last stage and of the report, begun as soon as what it takes is there: other stages leave cores idle."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
 
 from heartcase.pipeline.kernels.parallel import may_share
+from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work
 
-__all__ = ["WorkAhead"]
+if TYPE_CHECKING:
+    from heartcase.pipeline.markers.confidence import Sureness
+
+__all__ = ["WorkAhead", "sureness"]
 
 
 class WorkAhead:
@@ -42,17 +47,33 @@ class WorkAhead:
 
     def look(self) -> None:
         """Begin what can be begun, where the stages have computed, and not found, what it takes."""
-        from heartcase.pipeline.bundle.assembly import normal_maps, volumes_and_labels
+        from heartcase.pipeline.bundle.assembly import normal_maps, structure_figures
+        from heartcase.pipeline.report.report_pictures import surface_thickness_mm
 
-        outputs = self._work.outputs
+        recipe, outputs = self._work.recipe, self._work.outputs
+        # Writing the labels takes it, and loading it takes a tenth of a second.
+        self._begin("library", lambda: import_module("SimpleITK"))
         if outputs.structures is not None and outputs.structures.value is not None:
             structures = outputs.structures.value
-            self._begin("volumes_and_labels", lambda: volumes_and_labels(structures, lambda: not self._is_over))
+            self._begin("structure_figures", lambda: structure_figures(recipe, structures, lambda: not self._is_over))
         if outputs.surface is not None and outputs.surface.value is not None:
             surface = outputs.surface.value
-            self._begin("normal_maps", lambda: normal_maps(self._work.recipe, surface))
+            self._begin("normal_maps", lambda: normal_maps(recipe, surface))
+            if outputs.grid_map is not None:
+                # The report's: any earlier the case would have to wait for it.
+                self._begin("thickness", lambda: surface_thickness_mm(surface))
+                self._begin("sureness", lambda: sureness(self._work))
 
     def _begin(self, name: str, function: Callable[[], Any]) -> None:
         if name not in self._work.begun and may_share():
             future: Future[Any] = self._pool.submit(function)
             self._work.begun[name] = future.result
+
+
+def sureness(work: Work) -> Sureness | None:
+    """How sure the watershed is, from the tree that the cache keeps; None for other methods."""
+    from heartcase.pipeline.markers.confidence import sureness_of
+
+    if work.outputs.markers is None:
+        return None
+    return sureness_of(filtered_tree(work), work.outputs.markers.get())

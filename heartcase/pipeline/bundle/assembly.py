@@ -77,7 +77,19 @@ class StageResults:
     told: Mapping[str, Sequence[CaseWarning]] = field(default_factory=dict)
     """Warnings that are not in these outputs, by their source: a part of :data:`SOURCES`."""
     begun: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
-    """What gives the results of :func:`volumes_and_labels` and :func:`normal_maps`, where they are worked out ahead."""
+    """What gives the results of :func:`structure_figures` and :func:`normal_maps`, where they are worked out ahead."""
+
+
+@dataclass(frozen=True)
+class StructureFigures:
+    """What the fields after edits say of a case."""
+
+    volumes_ml: dict[int, float]
+    """Label value -> volume, ml."""
+    labels: Segmentation
+    """The label of every voxel of the fields' lattice, walls included."""
+    openings: tuple[Opening, ...]
+    """Where cavities are open to each other, the worst first."""
 
 
 @dataclass(frozen=True)
@@ -107,13 +119,29 @@ def labels_of(structures: Structures) -> Segmentation:
     return Segmentation(labels, structures.geometry, structures.table)
 
 
-def volumes_and_labels(
-    structures: Structures, is_wanted: Callable[[], bool] = lambda: True
-) -> tuple[dict[int, float], Segmentation]:
-    """Volume of every structure, label value -> ml, and :func:`labels_of`; until it is not wanted any more."""
+def structure_figures(
+    recipe: Recipe, structures: Structures, is_wanted: Callable[[], bool] = lambda: True
+) -> StructureFigures:
+    """Volumes, labels and openings of the structures.
+
+    Raises
+    ------
+    CancelledError
+        They are not wanted any more.
+    """
     from heartcase.pipeline.walls.grow_walls import structure_volumes_ml
 
-    return structure_volumes_ml(structures, is_wanted), labels_of(structures)
+    volumes_ml, labels = structure_volumes_ml(structures, is_wanted), labels_of(structures)
+    openings = find_openings(
+        structures,
+        labels,
+        recipe.edits,
+        recipe.landmarks,
+        strokes=recipe.strokes,
+        connected=recipe.walls.connected,
+        contacts=recipe.walls.contact,
+    )
+    return StructureFigures(volumes_ml, labels, openings)
 
 
 def normal_maps(recipe: Recipe, surface: Surface | None) -> list[bytes]:
@@ -196,20 +224,13 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     labels: Segmentation | None = None
     # Compressing the normal maps takes one thread, and as long as the kernels that measure take both.
     found, maps = side_by_side(
-        results.begun.get("volumes_and_labels", lambda: None if structures is None else volumes_and_labels(structures)),
+        results.begun.get(
+            "structure_figures", lambda: None if structures is None else structure_figures(recipe, structures)
+        ),
         results.begun.get("normal_maps", lambda: normal_maps(recipe, surface)),
     )
     if structures is not None and found is not None:
-        volumes_ml, labels = found
-        openings = find_openings(
-            structures,
-            labels,
-            recipe.edits,
-            recipe.landmarks,
-            strokes=recipe.strokes,
-            connected=recipe.walls.connected,
-            contacts=recipe.walls.contact,
-        )
+        volumes_ml, labels, openings = found.volumes_ml, found.labels, found.openings
         quality["volumes_ml"] = {structures.table[value].name: round(ml, 3) for value, ml in volumes_ml.items()}
         quality["openings"] = opening_figures(openings)
         told["cut"] = (*cut_warnings(labels, whole=results.whole, ends=structures.vessel_ends), *told["cut"])

@@ -17,11 +17,11 @@ import numpy as np
 
 from heartcase.pipeline.data import Structures
 from heartcase.pipeline.fields.distance import signed_distance
+from heartcase.pipeline.kernels.boxes import Box
 from heartcase.schemas.arrays import Bool, Float32, Float64, UInt8
 
 __all__ = ["Borders", "Box", "distance_beyond_band"]
 
-Box = tuple[slice, slice, slice]
 
 STILL_MM = 1e-4
 """A border that moves by less has not moved."""

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from heartcase.pipeline.data import Segmentation, VesselEnd
+from heartcase.pipeline.kernels.boxes import Box
 from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8, UInt32
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable
@@ -29,7 +30,6 @@ __all__ = [
     "sides_of",
 ]
 
-Box = tuple[slice, slice, slice]
 
 STUMP_TAPER = 0.1
 """How much narrower the room for a stump gets per mm behind the disc: a lumen is known to a part of a voxel only."""

@@ -19,13 +19,13 @@ from scipy.sparse import csr_array
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import loop_kernel
 from heartcase.pipeline.fields.contacts import Extent, faces_between
+from heartcase.pipeline.kernels.boxes import Box, box_of
 from heartcase.pipeline.kernels.topology import piece_sizes
 from heartcase.schemas.arrays import Bool, UInt8, UInt32
 from heartcase.schemas.geometry import Geometry
 
 __all__ = ["Change", "bridging_voxels", "compartment_changes"]
 
-Box = tuple[slice, slice, slice]
 
 LEAST_VOXELS = 8
 """Compartments of fewer voxels are specks."""
@@ -135,12 +135,12 @@ def compartment_changes(
     changes: list[Change] = []
     for piece in np.flatnonzero(np.asarray(overlap.sum(axis=0)).ravel() > 1):
         wanted = overlap[:, [piece]].nonzero()[0]
-        box = _box_of(after == piece)
+        box = box_of(after == piece)
         own = _refined(np.where(np.isin(before, wanted), before, 0), factor, box)
         changes += _meetings(after[box] == piece, own, _refined(labels, factor, box), box, fine_geometry, True)
     for piece in np.flatnonzero(np.asarray(overlap.sum(axis=1)).ravel() > 1):
         wanted = overlap[[piece], :].nonzero()[1]
-        z, y, x = (slice(factor * part.start, factor * part.stop) for part in _box_of(before == piece))
+        z, y, x = (slice(factor * part.start, factor * part.stop) for part in box_of(before == piece))
         box = (z, y, x)
         own = np.where(np.isin(after[box], wanted), after[box], 0)
         changes += _meetings(_refined(before == piece, factor, box), own, fine[box], box, fine_geometry, False)
@@ -221,12 +221,6 @@ def _refined(values: npt.NDArray[Any], factor: int, box: Box) -> npt.NDArray[Any
     """Give each fine voxel of a box the value of the voxel that it lies in."""
     z, y, x = (np.arange(part.start, part.stop) // factor for part in box)
     return values[np.ix_(z, y, x)]
-
-
-def _box_of(mask: Bool) -> Box:
-    there = [np.flatnonzero(mask.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
-    z, y, x = (slice(int(one[0]), int(one[-1]) + 1) for one in there)
-    return z, y, x
 
 
 def _meetings(

@@ -15,11 +15,11 @@ import numba
 import numpy as np
 
 from heartcase.compiling.kernel import kernel, loop_kernel
+from heartcase.pipeline.kernels.boxes import Box
 from heartcase.schemas.arrays import Float32, UInt8
 
 __all__ = ["Box", "Part", "Touch", "divide", "find_touches", "heights_of_groups", "leads_of"]
 
-Box = tuple[slice, slice, slice]
 
 TOUCH_GAIN = 4.0
 """The blurred faces between two labels, times this and up to one, say how much each lends the other: all of it at the

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
-import SimpleITK
 
 from heartcase.pipeline.data import Scan, Segmentation
 from heartcase.pipeline.formats.labels.segments import segment_table
@@ -91,6 +90,8 @@ def _suffix(path: Path) -> str:
 
 
 def _image_bytes(values: npt.NDArray[Any], geometry: Geometry, suffix: str, pairs: Mapping[str, str]) -> bytes:
+    import SimpleITK
+
     image = SimpleITK.GetImageFromArray(values)
     image.SetOrigin(geometry.origin_mm)
     image.SetSpacing(geometry.spacing_mm)

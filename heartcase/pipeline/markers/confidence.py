@@ -18,6 +18,7 @@ import edt
 import numpy as np
 
 from heartcase.pipeline.data import UNMARKED, Markers
+from heartcase.pipeline.kernels.boxes import box_of
 from heartcase.pipeline.markers.suggest import DISTANCE_POWER, DOUBT_POWER, StrokePlaces, suggest_strokes
 from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty, voxel_certainty
 from heartcase.pipeline.watershed.forest import Forest, solve_forest
@@ -80,10 +81,12 @@ def voxel_confidence(forest: Forest, geometry: Geometry, feet: FootCertainty | N
     rival = np.where(rival == labels, forest.foot_label[basin], rival)
     own_mm, rival_mm = np.zeros(labels.shape, np.float32), np.zeros(labels.shape, np.float32)
     for value in np.unique(forest.marks[forest.marks != UNMARKED]).tolist():
-        unmarked = np.ascontiguousarray(forest.marks != value)
+        # The label's markers have its label, so they lie in the box of those that ask for it.
+        box = box_of((labels == value) | (rival == value))
+        unmarked = np.ascontiguousarray(forest.marks[box] != value)
         away = edt.edt(unmarked, anisotropy=geometry.spacing_mm[::-1], black_border=False, parallel=0)
-        np.copyto(own_mm, away, where=labels == value)
-        np.copyto(rival_mm, away, where=rival == value)
+        np.copyto(own_mm[box], away, where=labels[box] == value)
+        np.copyto(rival_mm[box], away, where=rival[box] == value)
     nearness = own_mm / np.maximum(own_mm + rival_mm, np.finfo(np.float32).tiny)
     doubt = (1.0 - voxel_certainty(forest, feet)) ** DOUBT_POWER * nearness**DISTANCE_POWER
     confidence: Float32 = np.where(labels == UNMARKED, np.float32(0.0), np.float32(1.0) - doubt)

@@ -37,6 +37,7 @@ from heartcase.pipeline.stages.resolve import SettingRules
 from heartcase.pipeline.stages.table import STAGES
 from heartcase.pipeline.walls.grown_places import LEAST_REST_MM2
 from heartcase.pipeline.warnings import CaseWarning, WarningGroup, grouped
+from heartcase.schemas.arrays import Float32
 from heartcase.schemas.bundle.format import CaseManifest, StageRecord
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe.recipe import Recipe
@@ -252,6 +253,8 @@ class ReportInputs:
     """The septa that were grown, judged: :func:`heartcase.pipeline.walls.grown_places.judged_places`."""
     sureness: Callable[[], Sureness | None] = lambda: None
     """Works out how sure the segmentation is, beside the views; None where it was not made by watershed."""
+    thickness_mm: Callable[[], Float32] | None = None
+    """Gives :func:`heartcase.pipeline.report.report_pictures.surface_thickness_mm` where it is worked out ahead."""
     rules: SettingRules | None = None
     """What the settings are where a recipe leaves them to this scan; found anew when left out."""
 
@@ -290,12 +293,12 @@ def build_report(inputs: ReportInputs) -> str:
     septa_mm = {one.value: one.thickness_mm for one in structures.grown_septa}
 
     def slices() -> tuple[list[Picture], ConfidencePart | None, EndsPart | None]:
-        sureness = inputs.sureness()
-        sure = confidence_part(scan, segmentation, sureness) if sureness is not None else None
-        return slice_parts(scan, segmentation, structures), sure, ends_part(scan, structures)
+        shown, ends = slice_parts(scan, segmentation, structures), ends_part(scan, structures)
+        sureness = inputs.sureness()  # last, as it may still be worked out
+        return shown, confidence_part(scan, segmentation, sureness) if sureness is not None else None, ends
 
     (slice_rows, confidence, ends), shown = side_by_side(
-        slices, lambda: surface_parts(surface, recipe.landmarks, recipe.walls, septa_mm)
+        slices, lambda: surface_parts(surface, recipe.landmarks, recipe.walls, septa_mm, inputs.thickness_mm)
     )
     quality = {
         "Smoothing of the outlines": smoothing_facts(structures.quality),

@@ -41,6 +41,7 @@ __all__ = [
     "embedded_picture",
     "slice_parts",
     "surface_parts",
+    "surface_thickness_mm",
     "thickness_spread",
 ]
 
@@ -131,15 +132,24 @@ def _is_parallel(one: Geometry, other: Geometry) -> bool:
     return bool(np.allclose(one.direction_matrix, other.direction_matrix, atol=1e-6))
 
 
+def surface_thickness_mm(surface: Surface) -> Float32:
+    """Thickness of the tissue under each vertex of a surface: :func:`wall_thickness_mm`."""
+    return wall_thickness_mm(
+        surface.vertices_mm, surface.triangles, normals=surface.normals, triangle_is_cut=surface.triangle_is_cut
+    )
+
+
 def surface_parts(
     surface: Surface | None,
     landmarks: Sequence[Landmark] = (),
     walls: WallsSettings | None = None,
     septa_mm: Mapping[int, float] | None = None,
+    thickness_mm: Callable[[], Float32] | None = None,
 ) -> SurfaceParts:
     """Draw the surface from all six sides, in the surgeon's view, cut open and by thickness; measure the thickness.
 
-    ``walls`` are the recipe's, of which some may vary in thickness; ``septa_mm`` the thickness of each grown septum.
+    ``walls`` are the recipe's, of which some may vary in thickness; ``septa_mm`` the thickness of each grown septum;
+    ``thickness_mm`` gives :func:`surface_thickness_mm` where it is worked out already.
     """
     if surface is None or len(surface.triangles) == 0:
         return SurfaceParts()
@@ -154,7 +164,7 @@ def surface_parts(
     }
     # Each is drawn by one thread, and the thickness takes longest.
     tasks: list[Callable[[], Any]] = [
-        lambda: wall_thickness_mm(points, faces, normals=surface.normals, triangle_is_cut=surface.triangle_is_cut),
+        thickness_mm or partial(surface_thickness_mm, surface),
         *(partial(_side, mesh, view, title) for view, title in _SIDES.items()),
         *_views(mesh, places_of(landmarks)),
     ]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from heartcase.pipeline.kernels.boxes import Box
 from heartcase.pipeline.watershed.painting import TILE
 from heartcase.schemas.arrays import Int64
 
 __all__ = ["Box", "around_both", "as_box", "in_parts", "tiles_around", "voxels_at", "voxels_in", "within"]
-
-Box = tuple[slice, slice, slice]
 
 
 def around_both(one: Box | None, other: Box | None) -> Box | None:

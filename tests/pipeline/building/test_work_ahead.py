@@ -19,30 +19,37 @@ ASSEMBLY = "heartcase.pipeline.bundle.assembly"
 
 
 def work_with(**outputs):
-    nodes = {"structures": None, "surface": None} | outputs
+    nodes = {"structures": None, "surface": None, "grid_map": None} | outputs
     return SimpleNamespace(recipe="recipe", outputs=SimpleNamespace(**nodes), begun={})
 
 
 def test_what_was_computed_is_begun_once(monkeypatch):
     calls = []
     monkeypatch.setattr(work_ahead, "may_share", lambda: True)
-    monkeypatch.setattr(
-        "heartcase.pipeline.bundle.assembly.volumes_and_labels", lambda *given: calls.append(given[0]) or "m"
-    )
+    monkeypatch.setattr(f"{ASSEMBLY}.structure_figures", lambda *given: calls.append(given[:2]) or "m")
     monkeypatch.setattr(f"{ASSEMBLY}.normal_maps", lambda *given: calls.append(given) or "n")
+    pictures = "heartcase.pipeline.report.report_pictures"
+    monkeypatch.setattr(f"{pictures}.surface_thickness_mm", lambda *given: calls.append(given) or "t")
+    monkeypatch.setattr(work_ahead, "sureness", lambda given: calls.append(given) or "s")
     work = work_with(structures=Node("", lambda: None))
     with WorkAhead(work) as begun:
         begun.look()
-        assert work.begun == {}  # found in the cache, and not loaded by anybody
+        assert list(work.begun) == ["library"]  # the fields were found in the cache, and not loaded by anybody
         work.outputs.structures.value = "fields"
         begun.look(), begun.look()
         work.outputs.surface = Node("", lambda: None, "surface")
         begun.look(), begun.look()
+        assert "thickness" not in work.begun
+        work.outputs.grid_map = Node("", lambda: None, "map")
+        begun.look(), begun.look()
+        assert work.begun.pop("library")().__name__ == "SimpleITK"
         assert {name: result() for name, result in work.begun.items()} == {
-            "volumes_and_labels": "m",
+            "structure_figures": "m",
             "normal_maps": "n",
+            "thickness": "t",
+            "sureness": "s",
         }
-    assert calls == ["fields", ("recipe", "surface")]
+    assert calls == [("recipe", "fields"), ("recipe", "surface"), ("surface",), work]
 
 
 def test_nothing_is_begun_where_there_is_one_thread(monkeypatch):
@@ -56,13 +63,13 @@ def test_nothing_is_begun_where_there_is_one_thread(monkeypatch):
 def test_a_build_that_ends_early_gives_it_up(monkeypatch):
     started, asked = threading.Event(), []
 
-    def worked_out(structures, is_wanted):
+    def worked_out(recipe, structures, is_wanted):
         started.set()
         while is_wanted():
             asked.append(True)
 
     monkeypatch.setattr(work_ahead, "may_share", lambda: True)
-    monkeypatch.setattr(f"{ASSEMBLY}.volumes_and_labels", worked_out)
+    monkeypatch.setattr(f"{ASSEMBLY}.structure_figures", worked_out)
     work = work_with(structures=Node("", lambda: None, "fields"), surface=Node("", lambda: None, "surface"))
     with suppress(KeyboardInterrupt), WorkAhead(work) as begun:
         begun.look()

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-import SimpleITK
-
 __all__ = ["Complaint", "quiet_itk"]
 
 
@@ -27,6 +25,8 @@ def quiet_itk() -> Iterator[Complaint]:
 
     Its parts for NRRD and for DICOM write there on their own, past every switch, so the stream itself is turned away.
     """
+    import SimpleITK
+
     complaint = Complaint()
     shown = SimpleITK.ProcessObject.GetGlobalWarningDisplay()
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)

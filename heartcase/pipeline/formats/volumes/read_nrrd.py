@@ -13,7 +13,6 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-import SimpleITK
 
 from heartcase.pipeline.formats.volumes.frames import FrameChoice
 from heartcase.pipeline.formats.volumes.nrrd_frames import frame_axis, read_nrrd_frame
@@ -60,6 +59,8 @@ NRRD_TYPES = {
 
 
 def _read_image(path: Path, header: dict[str, str], *, orientation_is_stated: bool) -> RawVolume:
+    import SimpleITK
+
     try:
         with quiet_itk():
             image = SimpleITK.ReadImage(str(path))

@@ -204,10 +204,8 @@ def _shrink(
         radius = np.full(len(point), level)
         for _ in range(_ROUNDS_MAX):
             p, n, r = point[active], normal[active], radius[active]
-            distance, nearest = (
-                np.asarray(found_there)
-                for found_there in tree.query(p - r[:, None] * n, distance_upper_bound=level, workers=-1)
-            )
+            # By this thread alone: starting others takes longer than what they would find.
+            distance, nearest = map(np.asarray, tree.query(p - r[:, None] * n, distance_upper_bound=level))
             touched = distance < r * (1.0 - 1e-6)
             active, nearest = active[touched], nearest[touched]
             smaller = _radius_to_facet(p[touched], n[touched], sample[nearest], sample_normal[nearest], reach[nearest])
