@@ -190,8 +190,17 @@ def main(turns: int = 9, step_count: int = 150) -> None:
                     engine.advance_by(1, step_count, inputs.verlet, NO_PROBES)
                     taken.append(1e6 * (thread_time() - start) / step_count)
             uncut, cut = map(min, times)
+            more = [
+                f"{100 * (after / before - 1):.1f}% more {of_what}"
+                for of_what, before, after in (
+                    ("nodes", inputs.model.node_count, inputs.cut.model.node_count),
+                    ("cells", inputs.model.cell_count, inputs.cut.model.cell_count),
+                    ("springs", inputs.model.spring_count, inputs.cut.model.spring_count),
+                )
+            ]
             print(
-                f"{law}, {inputs.crossed.sum()} crossed: {uncut:.0f}, {cut:.0f} us a step, {uncut / cut:.2f}",
+                f"{law}, {inputs.crossed.sum()} crossed, {', '.join(more)}: "
+                f"{uncut:.0f}, {cut:.0f} us a step, {uncut / cut:.2f}",
                 flush=True,
             )
 
