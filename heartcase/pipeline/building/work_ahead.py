@@ -51,10 +51,10 @@ class WorkAhead:
         from heartcase.pipeline.report.report_pictures import surface_thickness_mm
 
         recipe, outputs = self._work.recipe, self._work.outputs
-        # Writing the labels takes it, and loading it takes a tenth of a second.
-        self._begin("library", lambda: import_module("SimpleITK"))
         if outputs.structures is not None and outputs.structures.value is not None:
             structures = outputs.structures.value
+            # Writing the labels takes it, and loading it takes a tenth of a second.
+            self._begin("library", lambda: import_module("SimpleITK"))
             self._begin("structure_figures", lambda: structure_figures(recipe, structures, lambda: not self._is_over))
         if outputs.surface is not None and outputs.surface.value is not None:
             surface = outputs.surface.value
@@ -62,7 +62,8 @@ class WorkAhead:
             if outputs.grid_map is not None:
                 # The report's: any earlier the case would have to wait for it.
                 self._begin("thickness", lambda: surface_thickness_mm(surface))
-                self._begin("sureness", lambda: sureness(self._work))
+                if all(one is not None and one.value is not None for one in (outputs.filtered, outputs.markers)):
+                    self._begin("sureness", lambda: sureness(self._work))
 
     def _begin(self, name: str, function: Callable[[], Any]) -> None:
         if name not in self._work.begun and may_share():

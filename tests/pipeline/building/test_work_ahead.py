@@ -19,7 +19,7 @@ ASSEMBLY = "heartcase.pipeline.bundle.assembly"
 
 
 def work_with(**outputs):
-    nodes = {"structures": None, "surface": None, "grid_map": None} | outputs
+    nodes = dict.fromkeys(("structures", "surface", "grid_map", "filtered", "markers")) | outputs
     return SimpleNamespace(recipe="recipe", outputs=SimpleNamespace(**nodes), begun={})
 
 
@@ -34,13 +34,17 @@ def test_what_was_computed_is_begun_once(monkeypatch):
     work = work_with(structures=Node("", lambda: None))
     with WorkAhead(work) as begun:
         begun.look()
-        assert list(work.begun) == ["library"]  # the fields were found in the cache, and not loaded by anybody
+        assert work.begun == {}  # found in the cache, and not loaded by anybody
         work.outputs.structures.value = "fields"
         begun.look(), begun.look()
         work.outputs.surface = Node("", lambda: None, "surface")
         begun.look(), begun.look()
         assert "thickness" not in work.begun
         work.outputs.grid_map = Node("", lambda: None, "map")
+        work.outputs.markers = Node("", lambda: None, "markers")
+        begun.look(), begun.look()
+        assert "sureness" not in work.begun
+        work.outputs.filtered = Node("", lambda: None, "scan")
         begun.look(), begun.look()
         assert work.begun.pop("library")().__name__ == "SimpleITK"
         assert {name: result() for name, result in work.begun.items()} == {
