@@ -24,8 +24,10 @@ from heartcase.compiling.kernel import KERNELS
 from heartcase.compiling.loops import LoopKernel
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.building.session_file import open_session
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed import forest
 from heartcase.pipeline.watershed.painting import paint_boxes
+from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.bundle.manifest import listed_files
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.simulator.arrangement.sheet_sides import directions_of
@@ -118,6 +120,14 @@ def test_a_session_paints_and_erases(out, tmp_path):
         found = session.labels_of_box((slice(None), slice(None), slice(None)))
     assert paint_boxes.overloads
     np.testing.assert_array_equal(found, session.labels)
+
+
+def test_strokes_divide_what_is_flat():
+    nothing = np.full((1, 1, 9), UNMARKED, np.uint8)
+    found = forest.solve_forest(build_basin_tree(np.zeros(nothing.shape, np.float32)), nothing)
+    for voxel, label in ((0, 1), (8, 2), (3, 1)):
+        found.paint(np.array([voxel]), label)
+    assert found.labels.ravel().tolist() == [1] * 6 + [2] * 3
 
 
 def test_the_phantom_knows_its_truth(tmp_path):

@@ -42,7 +42,7 @@ from heartcase.pipeline.watershed.painting import (
     paint_rows,
     tiles_of,
 )
-from heartcase.pipeline.watershed.plateaus import divide_flat
+from heartcase.pipeline.watershed.plateaus import divide_flat, divided_anew
 from heartcase.pipeline.watershed.sight import Sight, paint_sight
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
 from heartcase.schemas.arrays import Bool, Int16, Int32, Int64, UInt8
@@ -141,16 +141,21 @@ class Forest:
         flat_painted[voxels] = label
         tree = self.tree
         bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
-        self._marked = np.union1d(self._known_marked(), basin[voxels]) if self._may_fall_behind else None
         if is_flat_contested(bits, basin, tree.root, tree.flat, self.flat_label, voxels, label):
-            return self.solve()
+            return self._mark(divided_anew(tree, self.painted, self.marks, self.flat_label, voxels, label))
+        return self._mark([(label, voxels)])
+
+    def _mark(self, groups: Sequence[tuple[int, Int64]]) -> Box | None:
+        """Give voxels marks, label by label (255: none), and mend the forest; the box in which labels changed."""
+        if not groups:
+            return None
+        tree = self.tree
+        basin = tree.basin.ravel()
+        basins = [basin[voxels] for _, voxels in groups]
+        self._marked = np.union1d(self._known_marked(), np.concatenate(basins)) if self._may_fall_behind else None
         is_quick = self._is_quick
         if is_quick and self._is_behind:
-            marks = self.marks.reshape(-1)
-            if label != UNMARKED:
-                note_marked(bits, basin, voxels, label, marks, self.lowest_mark)
-            else:
-                note_erased(bits, basin, tree.voxels, voxels, marks, self.lowest_mark)
+            self._note(groups)
             self.fall_behind()
             return None
         self.fill()
@@ -158,12 +163,18 @@ class Forest:
         feet = (self.marks.reshape(-1), self.foot_label, self.foot_level, self.lowest_mark)
         most = min(int(MOST_MENDED * tree.basin_count), MOST_CARRIED if is_quick else tree.basin_count)
         before = None if is_quick else self.foot_label.copy()
-        if label != UNMARKED:
-            changed = mend(self._landscape, graph, voxels, label, *feet, most)
+        changed: list[Int64] = []
+        for number, (label, voxels) in enumerate(groups):
+            if label != UNMARKED:
+                found = mend(self._landscape, graph, voxels, label, *feet, most)
+            else:
+                found = unmark(self._landscape, graph, tree.voxels, voxels, *feet, most)
+            if not len(found):
+                self._note(groups[number + 1 :])
+                break
+            changed.append(found)
         else:
-            changed = unmark(self._landscape, graph, tree.voxels, voxels, *feet, most)
-        if len(changed):
-            return self._paint_basins(changed)
+            return self._paint_basins(changed[0] if len(changed) == 1 else np.unique(np.concatenate(changed)))
         if before is None:
             self.fall_behind()
             return None
@@ -172,8 +183,18 @@ class Forest:
         if not self.puts_off:
             return self._paint_whole()
         is_changed = self.foot_label != before
-        is_changed[basin[voxels]] = True
+        is_changed[np.concatenate(basins)] = True
         return self._paint_basins(np.flatnonzero(is_changed))
+
+    def _note(self, groups: Sequence[tuple[int, Int64]]) -> None:
+        """Give voxels marks, and leave the forest as it is."""
+        tree, marks = self.tree, self.marks.reshape(-1)
+        bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
+        for label, voxels in groups:
+            if label != UNMARKED:
+                note_marked(bits, basin, voxels, label, marks, self.lowest_mark)
+            else:
+                note_erased(bits, basin, tree.voxels, voxels, marks, self.lowest_mark)
 
     def restore(self, voxels: Int64, values: UInt8) -> Box | None:
         """Mark voxels with labels of their own, or take their markers away (255); a box around what changed."""

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numba
 import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel, loop_kernel
+from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.descent import side_offsets
-from heartcase.schemas.arrays import Float32, Int32, Int64
+from heartcase.pipeline.watershed.marks import CONTESTED
+from heartcase.schemas.arrays import Float32, Int16, Int32, Int64, UInt8
 
-__all__ = ["divide_flat", "flat_minima"]
+if TYPE_CHECKING:
+    from heartcase.pipeline.watershed.tree import BasinTree
+
+__all__ = ["divide_flat", "divided_anew", "flat_minima"]
 
 
 def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: Int32) -> Int32:
@@ -39,6 +46,46 @@ def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: 
     if has_flat.any():
         _number_flats(bits, root, key, first, second, has_flat, flat)
     return flat
+
+
+def divided_anew(
+    tree: BasinTree, painted: UInt8, marks: UInt8, flat_label: Int16, voxels: Int64, label: int
+) -> list[tuple[int, Int64]]:
+    """Voxels whose marks change with a stroke that lies in contested flat minima, by their label: first 255, none.
+
+    Parameters
+    ----------
+    tree
+        The tree of the landscape.
+    painted
+        Label of each painted voxel, the stroke's among them; 255 elsewhere.
+    marks
+        The same from before the stroke, with contested flat minima divided; it is so again afterwards.
+    flat_label
+        Label that marks each flat minimum: -1 none, -2 several; made to fit the stroke.
+    voxels, label
+        The stroke: flat indices, and their label, 255 for none.
+    """
+    marked, seeded, shape = marks.reshape(-1), painted.reshape(-1), painted.shape
+    bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
+    own = basin[voxels]
+    is_inside = (tree.flat[own] >= 0) & (bits[voxels] == bits[tree.root[own]])
+    changed, values = [voxels[~is_inside]], [np.full(np.count_nonzero(~is_inside), label, np.uint8)]
+    for number in np.unique(tree.flat[own[is_inside]]).tolist():
+        inside = _voxels_of_flat(np.flatnonzero(tree.flat == number), *tree.voxels, bits)
+        before = marked[inside]
+        marked[inside] = seeded[inside]
+        seeds = inside[seeded[inside] != UNMARKED]
+        labels = np.unique(seeded[seeds])
+        flat_label[number] = CONTESTED if len(labels) > 1 else [-1, *labels.tolist()][-1]
+        if len(labels) > 1:
+            divide_flat(bits, basin, tree.flat, shape, side_offsets(shape), seeds, marked, UNMARKED)
+        after = marked[inside]
+        marked[inside] = before
+        changed.append(inside[after != before])
+        values.append(after[after != before])
+    everywhere, value = np.concatenate(changed), np.concatenate(values)
+    return [(one, everywhere[value == one]) for one in sorted({*value.tolist()}, reverse=True)]
 
 
 @kernel
@@ -87,6 +134,35 @@ def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):
                     reached[count] = u
                     count += 1
         shore = np.sort(reached[:count])
+
+
+@kernel
+def _voxels_of_flat(basins, first_voxel, voxel_list, bits):
+    """Flat indices of the voxels of a flat minimum, ascending: those at the bottom of its basins.
+
+    Parameters
+    ----------
+    basins
+        Numbers of its basins.
+    first_voxel, voxel_list
+        The voxels of each basin.
+    bits
+        Heights as bits, one-dimensional.
+    """
+    count = 0
+    for b in basins:
+        count += first_voxel[b + 1] - first_voxel[b]
+    found = np.empty(count, np.int64)
+    count = 0
+    for b in basins:
+        level = bits[voxel_list[first_voxel[b]]]
+        for n in range(first_voxel[b], first_voxel[b + 1]):
+            level = min(level, bits[voxel_list[n]])
+        for n in range(first_voxel[b], first_voxel[b + 1]):
+            if bits[voxel_list[n]] == level:
+                found[count] = voxel_list[n]
+                count += 1
+    return np.sort(found[:count])
 
 
 @loop_kernel
