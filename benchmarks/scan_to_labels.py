@@ -151,10 +151,14 @@ def heartcase_other(inputs: Inputs) -> tuple[Any, ...]:
 def heartcase_floor(inputs: Inputs) -> tuple[Any, ...]:
     """Not what the program does: nothing in the landscape is lower than the noise, so labels meet half way in blood."""
     filtered = filter_scan(inputs.scan, FilterSettings())
+    return _solved(height_over_floor(filtered, FLOOR, FLOOR_SHAPE_SIGMA_MM), inputs)
+
+
+def height_over_floor(filtered: Scan, floor: float, shape_sigma_mm: float) -> Float32:
+    """The landscape, at least as high everywhere as so many tenth percentiles of the gradient."""
     noise = gradient_magnitude(filtered.values, filtered.geometry.spacing_mm)
     flat = np.quantile(noise[noise > 0.0], FLAT_QUANTILE)
-    height = _height(filtered, FLOOR_SHAPE_SIGMA_MM)
-    return _solved(np.maximum(height, np.float32(FLOOR * flat)), inputs)
+    return np.maximum(_height(filtered, shape_sigma_mm), np.float32(floor * flat))
 
 
 def _ours(inputs: Inputs, filter_settings: FilterSettings) -> tuple[Any, ...]:
