@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from heartcase.simulator.haptics.loop import LoopNumbers
 from tests.pipeline.building.kernels_called import CalledKernels
 from tests.simulator.live.scenes import write_case
 from tests.studio.operating.performing import operator, theatre
@@ -65,6 +66,7 @@ def operate(folder: Path) -> None:
         talker.done("tie")
         talker.done("back")
         talker.done("undo")
+    LoopNumbers.prepare()  # as a haptic device does
 
 
 def main(folder: Path, output: Path) -> None:
