@@ -16,7 +16,7 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.watershed.boxes import Box, around_both, as_box, in_parts, tiles_around, voxels_in, within
+from heartcase.pipeline.watershed.boxes import Box, as_box, in_parts, tiles_around, voxels_in, within
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
 from heartcase.pipeline.watershed.hanging import Filling, PartedForest, solve_parted
 from heartcase.pipeline.watershed.incremental import mend, unmark
@@ -129,21 +129,37 @@ class Forest:
         Box or None
             Box in which labels changed; None where none did.
         """
+        return self._paint([(label, voxels)])
+
+    def restore(self, voxels: Int64, values: UInt8) -> Box | None:
+        """Mark voxels, each there once, with labels of their own, or take their markers away (255).
+
+        Returns
+        -------
+        Box or None
+            A box around the labels that changed.
+        """
+        return self._paint([(label, voxels[values == label]) for label in sorted({*values.tolist()}, reverse=True)])
+
+    def _paint(self, strokes: Sequence[tuple[int, Int64]]) -> Box | None:
+        """Mark voxels, label by label (255: none), each of them once; the box in which labels changed."""
         flat_painted = self.painted.reshape(-1)
-        voxels = voxels[flat_painted[voxels] != label]
-        if not len(voxels):
+        strokes = [(label, voxels[flat_painted[voxels] != label]) for label, voxels in strokes]
+        strokes = [(label, voxels) for label, voxels in strokes if len(voxels)]
+        if not strokes:
             return None
         self._forget()
-        if self._painted_counts is not None:
-            gone = np.bincount(flat_painted[voxels], minlength=256)
-            # a new array: a copy of the forest may have the old one
-            self._painted_counts = self._painted_counts - gone + len(voxels) * (np.arange(256) == label)
-        flat_painted[voxels] = label
+        for label, voxels in strokes:
+            if self._painted_counts is not None:
+                gone = np.bincount(flat_painted[voxels], minlength=256)
+                # a new array: a copy of the forest may have the old one
+                self._painted_counts = self._painted_counts - gone + len(voxels) * (np.arange(256) == label)
+            flat_painted[voxels] = label
         tree = self.tree
-        bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
-        if is_flat_contested(bits, basin, tree.root, tree.flat, self.flat_label, voxels, label):
-            return self._mark(divided_anew(tree, self.painted, self.marks, self.flat_label, voxels, label))
-        return self._mark([(label, voxels)])
+        flats = tree.height.view(np.int32).ravel(), tree.basin.ravel(), tree.root, tree.flat, self.flat_label
+        if any(is_flat_contested(*flats, voxels, label) for label, voxels in strokes):
+            strokes = divided_anew(tree, self.painted, self.marks, self.flat_label, strokes)
+        return self._mark(strokes)
 
     def _mark(self, groups: Sequence[tuple[int, Int64]]) -> Box | None:
         """Give voxels marks, label by label (255: none), and mend the forest; the box in which labels changed."""
@@ -195,13 +211,6 @@ class Forest:
                 note_marked(bits, basin, voxels, label, marks, self.lowest_mark)
             else:
                 note_erased(bits, basin, tree.voxels, voxels, marks, self.lowest_mark)
-
-    def restore(self, voxels: Int64, values: UInt8) -> Box | None:
-        """Mark voxels with labels of their own, or take their markers away (255); a box around what changed."""
-        box = None
-        for label in sorted({*values.tolist()}, reverse=True):
-            box = around_both(box, self.paint(voxels[values == label], label))
-        return box
 
     def solve(self) -> Box | None:
         """Work everything out anew from ``painted``; the box in which labels changed."""

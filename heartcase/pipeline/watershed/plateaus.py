@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numba
@@ -49,28 +50,29 @@ def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: 
 
 
 def divided_anew(
-    tree: BasinTree, painted: UInt8, marks: UInt8, flat_label: Int16, voxels: Int64, label: int
+    tree: BasinTree, painted: UInt8, marks: UInt8, flat_label: Int16, strokes: Sequence[tuple[int, Int64]]
 ) -> list[tuple[int, Int64]]:
-    """Voxels whose marks change with a stroke that lies in contested flat minima, by their label: first 255, none.
+    """Voxels whose marks change with strokes that lie in contested flat minima, by their label: first 255, none.
 
     Parameters
     ----------
     tree
         The tree of the landscape.
     painted
-        Label of each painted voxel, the stroke's among them; 255 elsewhere.
+        Label of each painted voxel, the strokes' among them; 255 elsewhere.
     marks
-        The same from before the stroke, with contested flat minima divided; it is so again afterwards.
+        The same from before the strokes, with contested flat minima divided; it is so again afterwards.
     flat_label
-        Label that marks each flat minimum: -1 none, -2 several; made to fit the stroke.
-    voxels, label
-        The stroke: flat indices, and their label, 255 for none.
+        Label that marks each flat minimum: -1 none, -2 several; made to fit the strokes.
+    strokes
+        Label, 255 for none, and flat indices of the voxels that have it now.
     """
     marked, seeded, shape = marks.reshape(-1), painted.reshape(-1), painted.shape
     bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
+    voxels = np.concatenate([one for _, one in strokes])
     own = basin[voxels]
     is_inside = (tree.flat[own] >= 0) & (bits[voxels] == bits[tree.root[own]])
-    changed, values = [voxels[~is_inside]], [np.full(np.count_nonzero(~is_inside), label, np.uint8)]
+    changed, values = [voxels[~is_inside]], [seeded[voxels[~is_inside]]]
     for number in np.unique(tree.flat[own[is_inside]]).tolist():
         inside = _voxels_of_flat(np.flatnonzero(tree.flat == number), *tree.voxels, bits)
         before = marked[inside]

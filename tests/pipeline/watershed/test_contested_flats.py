@@ -30,8 +30,9 @@ from tests.pipeline.watershed.test_forest import shapes
         }
     ),
     puts_off=st.booleans(),
+    is_restored=st.booleans(),
 )
-def test_a_mended_forest_is_the_one_that_is_solved_anew(shape, level_count, seed, limits, puts_off):
+def test_a_mended_forest_is_the_one_that_is_solved_anew(shape, level_count, seed, limits, puts_off, is_restored):
     rng = np.random.default_rng(seed)
     tree = build_basin_tree(rng.integers(0, level_count, shape).astype(np.float32))
     painted = np.full(shape, UNMARKED, np.uint8)
@@ -42,8 +43,12 @@ def test_a_mended_forest_is_the_one_that_is_solved_anew(shape, level_count, seed
             start = rng.integers(painted.size)
             voxels = np.unique(np.minimum(start + rng.integers(0, 6, 3), painted.size - 1))
             before = mended.labels.copy()
-            box = mended.paint(voxels, label)
-            painted.reshape(-1)[voxels] = label
+            if is_restored:
+                values = rng.choice([label, 0, UNMARKED], len(voxels)).astype(np.uint8)
+                box = mended.restore(voxels, values)
+            else:
+                values, box = label, mended.paint(voxels, label)
+            painted.reshape(-1)[voxels] = values
             anew = solve_forest(tree, painted)
             if not puts_off:
                 differs = before != mended.labels
