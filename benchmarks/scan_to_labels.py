@@ -66,7 +66,7 @@ ITERATIONS = 5
 CONDUCTANCE = {"gradient": 1.0, "curvature": 3.0}
 """SimpleITK's usual ones: its own default, and that of its examples for the curvature filter."""
 FLOOR = 3.5
-"""Lowest height, in tenth percentiles of the gradient; above 3.7 the muscle of ``chest`` runs into the liver."""
+"""Lowest height, in tenth percentiles of the gradient; with 3.75 the muscle of ``chest`` runs into the liver."""
 FLOOR_SHAPE_SIGMA_MM = 2.0
 """Blur of the shape over such a floor; chosen with it on phantoms of seed 31."""
 
