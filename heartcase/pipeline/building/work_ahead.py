@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 
+from heartcase.pipeline.data import Surface
 from heartcase.pipeline.kernels.parallel import may_share
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work
+from heartcase.schemas.arrays import Float32
 
 if TYPE_CHECKING:
     from heartcase.pipeline.markers.confidence import Sureness
@@ -48,7 +50,6 @@ class WorkAhead:
     def look(self) -> None:
         """Begin what can be begun, where the stages have computed, and not found, what it takes."""
         from heartcase.pipeline.bundle.assembly import normal_maps, structure_figures
-        from heartcase.pipeline.report.report_pictures import surface_thickness_mm
 
         recipe, outputs = self._work.recipe, self._work.outputs
         if outputs.structures is not None and outputs.structures.value is not None:
@@ -61,7 +62,7 @@ class WorkAhead:
             self._begin("normal_maps", lambda: normal_maps(recipe, surface))
             if outputs.grid_map is not None:
                 # The report's: any earlier the case would have to wait for it.
-                self._begin("thickness", lambda: surface_thickness_mm(surface))
+                self._begin("thickness", lambda: _thickness_mm(surface))
                 if all(one is not None and one.value is not None for one in (outputs.filtered, outputs.markers)):
                     self._begin("sureness", lambda: sureness(self._work))
 
@@ -69,6 +70,13 @@ class WorkAhead:
         if name not in self._work.begun and may_share():
             future: Future[Any] = self._pool.submit(function)
             self._work.begun[name] = future.result
+
+
+def _thickness_mm(surface: Surface) -> Float32:
+    # Loaded here, so that what the case waits for does not wait for the report's modules.
+    from heartcase.pipeline.report.report_pictures import surface_thickness_mm
+
+    return surface_thickness_mm(surface)
 
 
 def sureness(work: Work) -> Sureness | None:
