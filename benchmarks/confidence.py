@@ -22,10 +22,7 @@ __all__ = ["METHODS", "errors", "heartcase", "prepare"]
 
 
 def _tree(inputs: Inputs) -> BasinTree:
-    settings = SegmentSettings()
-    return scan_tree(
-        inputs.filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm
-    )
+    return scan_tree(inputs.filtered, SegmentSettings())
 
 
 def heartcase(inputs: Inputs) -> Sureness:

@@ -27,13 +27,11 @@ from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.formats.read_scan import read_labels, read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan
-from heartcase.pipeline.image.gradient import gradient_magnitude
-from heartcase.pipeline.image.landscape import FLAT_QUANTILE, landscape
+from heartcase.pipeline.image.landscape import resolve_segment
 from heartcase.pipeline.image.region import crop_scan
 from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.pipeline.watershed.forest import solve_forest
-from heartcase.pipeline.watershed.tree import build_basin_tree
-from heartcase.schemas.arrays import Float32
+from heartcase.pipeline.watershed.tree_cache import scan_tree
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.recipe import load_recipe
@@ -65,10 +63,8 @@ FLAT: dict[str, dict[str, Any]] = {
 ITERATIONS = 5
 CONDUCTANCE = {"gradient": 1.0, "curvature": 3.0}
 """SimpleITK's usual ones: its own default, and that of its examples for the curvature filter."""
-FLOOR = 3.5
-"""Lowest height, in tenth percentiles of the gradient; with 3.75 the muscle of ``chest`` runs into the liver."""
-FLOOR_SHAPE_SIGMA_MM = 2.0
-"""Blur of the shape over such a floor; chosen with it on phantoms of seed 31."""
+OF_CT, OF_OTHERS = (resolve_segment(SegmentSettings(), modality) for modality in ("CT", "unknown"))
+"""What a CT gets, and what other scans get."""
 
 
 @dataclass(frozen=True)
@@ -139,44 +135,23 @@ def _chest(count: int, sets: int) -> Inputs:
 
 
 def heartcase(inputs: Inputs) -> tuple[Any, ...]:
-    return _ours(inputs, FilterSettings())
+    return _ours(inputs, FilterSettings(), SegmentSettings())
 
 
 def heartcase_other(inputs: Inputs) -> tuple[Any, ...]:
     """The same behind the filter that is not the default for this modality."""
     is_ct = inputs.scan.modality == "CT"
-    return _ours(inputs, FilterSettings(method="gradient_diffusion" if is_ct else "curvature_diffusion"))
+    other = FilterSettings(method="gradient_diffusion" if is_ct else "curvature_diffusion")
+    return _ours(inputs, other, SegmentSettings())
 
 
-def heartcase_floor(inputs: Inputs) -> tuple[Any, ...]:
-    """Not what the program does: nothing in the landscape is lower than the noise, so labels meet half way in blood."""
-    filtered = filter_scan(inputs.scan, FilterSettings())
-    return _solved(height_over_floor(filtered, FLOOR, FLOOR_SHAPE_SIGMA_MM), inputs)
+def heartcase_other_landscape(inputs: Inputs) -> tuple[Any, ...]:
+    """Shape and floor that are not the default for this modality: none for a CT, that of a CT for others."""
+    return _ours(inputs, FilterSettings(), OF_OTHERS if inputs.scan.modality == "CT" else OF_CT)
 
 
-def height_over_floor(filtered: Scan, floor: float, shape_sigma_mm: float) -> Float32:
-    """The landscape, at least as high everywhere as so many tenth percentiles of the gradient."""
-    noise = gradient_magnitude(filtered.values, filtered.geometry.spacing_mm)
-    flat = np.quantile(noise[noise > 0.0], FLAT_QUANTILE)
-    return np.maximum(_height(filtered, shape_sigma_mm), np.float32(floor * flat))
-
-
-def _ours(inputs: Inputs, filter_settings: FilterSettings) -> tuple[Any, ...]:
-    filtered = filter_scan(inputs.scan, filter_settings)
-    return _solved(_height(filtered, SegmentSettings().shape_sigma_mm), inputs)
-
-
-def _height(filtered: Scan, shape_sigma_mm: float) -> Float32:
-    return landscape(
-        filtered.values,
-        filtered.geometry.spacing_mm,
-        gradient_sigma_mm=SegmentSettings().gradient_sigma_mm,
-        shape_sigma_mm=shape_sigma_mm,
-    )
-
-
-def _solved(height: Float32, inputs: Inputs) -> tuple[Any, ...]:
-    tree = build_basin_tree(height)
+def _ours(inputs: Inputs, filter_settings: FilterSettings, settings: SegmentSettings) -> tuple[Any, ...]:
+    tree = scan_tree(filter_scan(inputs.scan, filter_settings), settings)
     return tuple(solve_forest(tree, markers).labels for markers in inputs.marker_sets)
 
 
@@ -213,7 +188,7 @@ def _named(kind: str, *, is_blurred: bool) -> Callable[[Inputs], tuple[Any, ...]
 METHODS = {
     "heartcase": heartcase,
     "heartcase_other": heartcase_other,
-    "heartcase_floor": heartcase_floor,
+    "heartcase_other_landscape": heartcase_other_landscape,
     "gradient": _named("gradient", is_blurred=False),
     "gradient_blurred": _named("gradient", is_blurred=True),
     "curvature": _named("curvature", is_blurred=False),

@@ -14,12 +14,11 @@ import numpy as np
 from skimage.segmentation import watershed
 
 from benchmarks.phantom_inputs import PhantomInputs, bare_truth, phantom_inputs
-from benchmarks.scan_to_labels import height_over_floor
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.watershed.forest import solve_forest
-from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree
+from heartcase.pipeline.watershed.tree import BasinTree
 from heartcase.pipeline.watershed.tree_cache import scan_tree
 from heartcase.schemas.recipe.settings import FilterSettings, SegmentSettings, Stroke
 
@@ -39,15 +38,11 @@ class Inputs:
 
 
 def prepare(params: dict[str, Any]) -> Inputs:
-    """``floor``: the least height, in tenth percentiles of the gradient; most strokes then lie in what is flat."""
-    floor = params.pop("floor", 0.0)
+    """``noise_floor``: as in the recipe; with one most strokes lie in what is flat."""
+    settings = SegmentSettings(noise_floor=params.pop("noise_floor", None))
     source = phantom_inputs(params)
     filtered = filter_scan(source.scan, FilterSettings())
-    settings = SegmentSettings()
-    if floor:
-        tree = build_basin_tree(height_over_floor(filtered, floor, settings.shape_sigma_mm))
-    else:
-        tree = scan_tree(filtered, gradient_sigma_mm=0.0, shape_sigma_mm=settings.shape_sigma_mm)
+    tree = scan_tree(filtered, settings)
     session = SegmentationSession(tree, filtered.geometry, source.phantom.table, markers=source.markers)
     return Inputs(source, tree, session, _strokes(source, max(REPEATS.values()) + 1))
 

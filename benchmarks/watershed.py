@@ -19,7 +19,7 @@ from benchmarks.phantom_inputs import PhantomInputs, phantom_inputs
 from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import UNMARKED, Markers
 from heartcase.pipeline.image.filter_scan import filter_scan
-from heartcase.pipeline.image.landscape import landscape
+from heartcase.pipeline.image.landscape import landscape, resolve_segment
 from heartcase.pipeline.watershed.certainty import voxel_certainty
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.segment_scan import segment_scan
@@ -43,12 +43,13 @@ def prepare(params: dict[str, Any]) -> Inputs:
         return _noise(params["voxels_across"])
     source = phantom_inputs(params)
     filtered = filter_scan(source.scan, FilterSettings())
-    spacing_mm, settings = filtered.geometry.spacing_mm, SegmentSettings()
+    settings = resolve_segment(SegmentSettings(), filtered.modality)
     gradient = landscape(
         filtered.values,
-        spacing_mm,
+        filtered.geometry.spacing_mm,
         gradient_sigma_mm=settings.gradient_sigma_mm,
         shape_sigma_mm=settings.shape_sigma_mm,
+        noise_floor=settings.noise_floor,
     )
     markers = source.markers.labels
     if labels == "shuffled":

@@ -37,6 +37,7 @@ def command(
     with four chambers.
     """
     from heartcase.pipeline.bundle.assembly import told_of_outlines
+    from heartcase.pipeline.image.landscape import resolve_segment
     from heartcase.pipeline.markers.placeholders import placeholder_problems
     from heartcase.pipeline.stages.stage import have
     from heartcase.pipeline.warnings import worst_first
@@ -46,7 +47,8 @@ def command(
     work = stage_run(recipe, sets, stage="segment")
     volume = work.take_scan(scan, choice)
     files = [MarkerFile(path=str(path.resolve())) for path in markers]
-    work.recipe = work.recipe.model_copy(update={"markers": (*work.recipe.markers, *files)})
+    settings = resolve_segment(work.recipe.segment, volume.modality)
+    work.recipe = work.recipe.model_copy(update={"markers": (*work.recipe.markers, *files), "segment": settings})
     examples = placeholder_problems(work.recipe, work.outputs.whole)
     if examples:
         raise RecipeError(examples)

@@ -115,12 +115,11 @@ class SegmentationSession:
         markers
             What is marked at the start; nothing when left out.
         settings
-            Scales of gradient and shape, mm; the defaults when left out.
+            Scales of gradient and shape, and noise floor; those of the scan's kind when left out.
         """
         from heartcase.pipeline.watershed.tree_cache import scan_tree
 
-        settings = settings or SegmentSettings()
-        tree = scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
+        tree = scan_tree(filtered, settings or SegmentSettings())
         return cls(tree, filtered.geometry, table, markers=markers)
 
     def put_off(self) -> None:

@@ -34,12 +34,14 @@ class SettingRules:
     def resolve(self, recipe: Recipe) -> ResolvedRecipe:
         """The recipe with every setting filled in that a rule finds; what is resolved stays as it is."""
         from heartcase.pipeline.cells.build_grid import resolve_grid
+        from heartcase.pipeline.image.landscape import resolve_segment
         from heartcase.pipeline.walls.grow_walls import resolve_walls
 
         return ResolvedRecipe.of_recipe(
             recipe,
             case_id=case_id_of(recipe, self.scan),
             filter=self.filter.resolve(recipe.filter),
+            segment=resolve_segment(recipe.segment, self.scan.modality),
             walls=resolve_walls(recipe.walls, self.scan.geometry, recipe.table),
             grid=resolve_grid(recipe.grid),
         )

@@ -20,13 +20,7 @@ def filtered_tree(work: Work) -> BasinTree:
     from heartcase.pipeline.watershed.tree_cache import scan_tree
 
     filtered = have(work.outputs.filtered)
-    return scan_tree(
-        filtered.get(),
-        gradient_sigma_mm=work.recipe.segment.gradient_sigma_mm,
-        shape_sigma_mm=work.recipe.segment.shape_sigma_mm,
-        cache=work.cache,
-        scan_sha256=filtered.sha256,
-    )
+    return scan_tree(filtered.get(), work.recipe.segment, cache=work.cache, scan_sha256=filtered.sha256)
 
 
 def _is_made(recipe: Recipe) -> bool:
@@ -69,7 +63,7 @@ def _compute(work: Work) -> Segmentation:
 
 STAGE = Stage(
     name="segment",
-    version=3,
+    version=4,
     title="segmenting",
     deed="find the structures",
     subject="finding the structures",

@@ -82,7 +82,7 @@ def segment_scan(
                 "no voxel of the scan is marked; paint at least one marker for each structure and one for background",
                 place="markers",
             )
-        tree = make_tree() if make_tree else _tree(filtered, settings)
+        tree = make_tree() if make_tree else scan_tree(filtered, settings)
         labels = solve_forest(tree, markers.labels).labels
     else:
         labels = segment_by_threshold(filtered.values, settings.ranges, table)
@@ -93,10 +93,6 @@ def segment_scan(
             labels, filtered.geometry, table, smallest_piece_ml=settings.smallest_piece_ml, keep=marked
         )
     return Segmentation(labels=labels, geometry=filtered.geometry, table=table)
-
-
-def _tree(filtered: Scan, settings: SegmentSettings) -> BasinTree:
-    return scan_tree(filtered, gradient_sigma_mm=settings.gradient_sigma_mm, shape_sigma_mm=settings.shape_sigma_mm)
 
 
 def segment_by_threshold(values: Float32, ranges: tuple[ThresholdRange, ...], table: LabelTable) -> UInt8:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from heartcase.pipeline.artifacts.cache import Cache, stage_key
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.image.landscape import landscape
+from heartcase.pipeline.image.landscape import landscape, resolve_segment
 from heartcase.pipeline.watershed.tree import BasinTree, build_basin_tree, restored_tree
 from heartcase.schemas.arrays import Int64, UInt8
+from heartcase.schemas.recipe.settings import SegmentSettings
 
 __all__ = ["TREE_VERSION", "KeptTree", "scan_tree"]
 
@@ -28,12 +29,7 @@ class KeptTree:
 
 
 def scan_tree(
-    filtered: Scan,
-    *,
-    gradient_sigma_mm: float,
-    shape_sigma_mm: float,
-    cache: Cache | None = None,
-    scan_sha256: str = "",
+    filtered: Scan, settings: SegmentSettings, *, cache: Cache | None = None, scan_sha256: str = ""
 ) -> BasinTree:
     """The tree of a scan's :func:`heartcase.pipeline.image.landscape.landscape`.
 
@@ -41,8 +37,8 @@ def scan_tree(
     ----------
     filtered
         The smoothed scan.
-    gradient_sigma_mm, shape_sigma_mm
-        Blur before the gradient and for the shape, mm; 0 for none.
+    settings
+        Blur before the gradient, blur for the shape, and noise floor; by the kind of scan where they are left out.
     cache
         Where the tree is looked for and kept; None works it out.
     scan_sha256
@@ -53,11 +49,16 @@ def scan_tree(
     StageError
         See :func:`heartcase.pipeline.watershed.tree.build_basin_tree`.
     """
-    settings = {"gradient_sigma_mm": gradient_sigma_mm, "shape_sigma_mm": shape_sigma_mm}
-    height = landscape(filtered.values, filtered.geometry.spacing_mm, **settings)
+    stated = resolve_segment(settings, filtered.modality)
+    chosen = {
+        "gradient_sigma_mm": stated.gradient_sigma_mm,
+        "shape_sigma_mm": stated.shape_sigma_mm,
+        "noise_floor": stated.noise_floor,
+    }
+    height = landscape(filtered.values, filtered.geometry.spacing_mm, **chosen)
     if cache is None:
         return build_basin_tree(height)
-    key = stage_key(stage="basins", version=TREE_VERSION, settings=settings, inputs={"scan": scan_sha256})
+    key = stage_key(stage="basins", version=TREE_VERSION, settings=chosen, inputs={"scan": scan_sha256})
     kept = cache.load("basins", key, KeptTree)
     if kept is not None and kept.direction.shape == height.shape:
         restored = restored_tree(height, kept.direction, kept.key)

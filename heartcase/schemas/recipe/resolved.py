@@ -11,7 +11,7 @@ from typing import Any, Literal, Self, TypeAlias
 
 from heartcase.schemas.base import CaseId, Model
 from heartcase.schemas.recipe.recipe import Recipe
-from heartcase.schemas.recipe.settings import FilterSettings, GridSettings, WallsSettings
+from heartcase.schemas.recipe.settings import FilterSettings, GridSettings, SegmentSettings, WallsSettings
 
 __all__ = [
     "DiffusionFilter",
@@ -22,6 +22,7 @@ __all__ = [
     "ResolvedFilter",
     "ResolvedGrid",
     "ResolvedRecipe",
+    "ResolvedSegment",
     "ResolvedWalls",
 ]
 
@@ -66,6 +67,15 @@ ResolvedFilter: TypeAlias = NoFilter | DiffusionFilter
 """Smoothing with every setting that its method takes."""
 
 
+class ResolvedSegment(SegmentSettings, _Resolved):
+    """How each voxel gets its label."""
+
+    shape_sigma_mm: float
+    """Blur for the shape, mm; 0 leaves it out."""
+    noise_floor: float
+    """Least height of the landscape, in tenth percentiles of the gradient."""
+
+
 class ResolvedWalls(WallsSettings, _Resolved):
     """Distance fields and walls; the band is at least a voxel more than the thickest wall."""
 
@@ -107,6 +117,8 @@ class ResolvedRecipe(Recipe):
     """Made-up identifier that is on every output."""
     filter: ResolvedFilter
     """Smoothing."""
+    segment: ResolvedSegment
+    """Segmentation."""
     walls: ResolvedWalls
     """Distance fields and walls."""
     grid: ResolvedGrid
@@ -114,9 +126,16 @@ class ResolvedRecipe(Recipe):
 
     @classmethod
     def of_recipe(
-        cls, recipe: Recipe, *, case_id: CaseId, filter: ResolvedFilter, walls: ResolvedWalls, grid: ResolvedGrid
+        cls,
+        recipe: Recipe,
+        *,
+        case_id: CaseId,
+        filter: ResolvedFilter,
+        segment: ResolvedSegment,
+        walls: ResolvedWalls,
+        grid: ResolvedGrid,
     ) -> ResolvedRecipe:
         """The recipe with these parts; its label table is stated as well."""
         # nothing is validated again: a recipe that is being painted has no markers yet
-        parts = {"case_id": case_id, "labels": recipe.table.labels, "filter": filter, "walls": walls, "grid": grid}
-        return cls.model_construct(**dict(recipe) | parts)
+        parts = {"filter": filter, "segment": segment, "walls": walls, "grid": grid}
+        return cls.model_construct(**dict(recipe) | parts | {"case_id": case_id, "labels": recipe.table.labels})

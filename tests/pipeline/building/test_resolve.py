@@ -20,9 +20,10 @@ from heartcase.schemas.recipe.resolved import (
     GridByNodeCount,
     NoFilter,
     ResolvedRecipe,
+    ResolvedSegment,
     ResolvedWalls,
 )
-from heartcase.schemas.recipe.settings import FilterSettings, GridSettings, WallsSettings
+from heartcase.schemas.recipe.settings import FilterSettings, GridSettings, SegmentSettings, WallsSettings
 from tests.ball import write_ball_recipe, write_ball_scan
 
 GEOMETRY = Geometry.of(shape=(6, 5, 4), spacing_mm=(0.7, 1.1, 3.0))
@@ -73,11 +74,12 @@ def test_what_is_stated_stays_and_the_rest_gets_a_value(settings, kinds):
     assert isinstance(resolved, ResolvedRecipe)
     assert (type(resolved.filter), type(resolved.grid)) == kinds
     assert type(resolved.walls) is ResolvedWalls
-    for part in ("filter", "walls", "grid"):
+    assert type(resolved.segment) is ResolvedSegment
+    for part in ("filter", "segment", "walls", "grid"):
         stated = getattr(recipe, part).model_dump(exclude_unset=True)
         assert stated.items() <= getattr(resolved, part).model_dump().items()
     # nothing else is another thing than before
-    parts = {"case_id", "filter", "walls", "grid"}
+    parts = {"case_id", "filter", "segment", "walls", "grid"}
     assert resolved.model_dump(exclude=parts) == recipe.model_dump(exclude=parts)
     assert list(resolved.model_dump()) == list(recipe.model_dump())
     # and records are those of the plain types with the same values
@@ -85,6 +87,7 @@ def test_what_is_stated_stays_and_the_rest_gets_a_value(settings, kinds):
         update={
             "case_id": resolved.case_id,
             "filter": FilterSettings(**resolved.filter.model_dump()),
+            "segment": SegmentSettings(**resolved.segment.model_dump()),
             "walls": WallsSettings(**resolved.walls.model_dump()),
             "grid": GridSettings(**resolved.grid.model_dump()),
         }
@@ -100,6 +103,8 @@ def test_what_is_stated_stays_and_the_rest_gets_a_value(settings, kinds):
         (DiffusionFilter, FilterSettings(conductance=1.0, time_step=0.1)),
         (DiffusionFilter, FilterSettings(method="none", conductance=1.0, time_step=0.1)),
         (NoFilter, FilterSettings()),
+        (ResolvedSegment, SegmentSettings(noise_floor=1.0)),
+        (ResolvedSegment, SegmentSettings(shape_sigma_mm=1.0)),
         (ResolvedWalls, WallsSettings(band_mm=3.0)),
         (ResolvedWalls, WallsSettings(smoothing_mm=3.0)),
         (GridByCellSize, GridSettings()),

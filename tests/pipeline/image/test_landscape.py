@@ -1,13 +1,15 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.image.gradient import gradient_magnitude
-from heartcase.pipeline.image.landscape import landscape
+from heartcase.pipeline.image.landscape import landscape, resolve_segment
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
+from heartcase.schemas.recipe.settings import SegmentSettings
 
 
 def plain_gradient(values, spacing_mm, sigma_mm):
@@ -25,14 +27,16 @@ def plain_gradient(values, spacing_mm, sigma_mm):
     shape=st.tuples(st.integers(2, 14), st.integers(2, 14), st.integers(2, 40)),
     spacing_mm=st.tuples(*[st.sampled_from([0.5, 0.8, 1.75, 3.0])] * 3),
     shape_sigma_mm=st.sampled_from([0.6, 1.5, 3.0]),
+    noise_floor=st.sampled_from([0.0, 1.5, 3.5]),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_equals_the_formula_in_float64(shape, spacing_mm, shape_sigma_mm, seed):
+def test_equals_the_formula_in_float64(shape, spacing_mm, shape_sigma_mm, noise_floor, seed):
     values = np.random.default_rng(seed).normal(0.0, 100.0, shape).astype(np.float32)
     steep, shaped = plain_gradient(values, spacing_mm, 1e-9), plain_gradient(values, spacing_mm, shape_sigma_mm)
     most = 1.6 * np.quantile(steep, 0.1)
-    want = steep + most * shaped / np.hypot(most, shaped)
-    got = landscape(values, spacing_mm, gradient_sigma_mm=0.0, shape_sigma_mm=shape_sigma_mm)
+    want = np.maximum(steep + most * shaped / np.hypot(most, shaped), noise_floor * np.quantile(steep, 0.1))
+    given = {"gradient_sigma_mm": 0.0, "shape_sigma_mm": shape_sigma_mm, "noise_floor": noise_floor}
+    got = landscape(values, spacing_mm, **given)
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-3 * most)
 
@@ -71,8 +75,42 @@ def test_lung_and_bone_of_a_steep_texture_do_not_raise_the_shape_in_blood():
     assert added(quiet) < 1.6 * of_blood
 
 
-def test_what_is_flat_has_no_height():
-    assert not landscape(np.full((4, 5, 6), 7.0), (1.0, 1.0, 1.0), gradient_sigma_mm=0.0, shape_sigma_mm=3.0).any()
+@pytest.mark.parametrize("noise_floor", [0.0, 3.5])
+def test_what_is_flat_has_no_height(noise_floor):
+    given = {"gradient_sigma_mm": 0.0, "shape_sigma_mm": 3.0, "noise_floor": noise_floor}
+    assert not landscape(np.full((4, 5, 6), 7.0), (1.0, 1.0, 1.0), **given).any()
+
+
+def test_over_a_floor_labels_meet_half_way_in_smooth_blood():
+    """A tube with noise and no border, marked near both ends; without a floor the border is wherever noise is."""
+    z, y, _ = np.indices((24, 24, 80))
+    tube = ndimage.gaussian_filter(np.where((z - 12) ** 2 + (y - 12) ** 2 < 64, 300.0, 100.0), 0.6)
+    markers = np.full(tube.shape, UNMARKED, np.uint8)
+    markers[0], markers[11:14, 11:14, 10:13], markers[11:14, 11:14, 67:70] = 0, 1, 2
+
+    def borders(noise_floor):
+        """Where label 1 ends along the axis of the tube, mean of some lines, for each noise."""
+        for seed in range(8):
+            values = (tube + np.random.default_rng(seed).normal(0.0, 4.0, tube.shape)).astype(np.float32)
+            given = {"gradient_sigma_mm": 0.0, "shape_sigma_mm": 2.0, "noise_floor": noise_floor}
+            labels = solve_forest(build_basin_tree(landscape(values, (1.0, 1.0, 1.0), **given)), markers).labels
+            yield np.count_nonzero(labels[10:15, 10:15] == 1, axis=-1).mean()
+
+    middle = 39.5
+    off, off_without = (np.abs(np.array(list(borders(floor))) - middle) for floor in (6.0, 0.0))
+    assert off.max() < 3.0
+    assert off_without.max() > 10.0
+
+
+def test_a_ct_gets_a_floor_and_others_none_where_the_settings_leave_it_out():
+    for modality, shape_sigma_mm, noise_floor in (("CT", 2.0, 3.5), ("MR", 3.0, 0.0), ("unknown", 3.0, 0.0)):
+        found = resolve_segment(SegmentSettings(), modality)
+        assert (found.shape_sigma_mm, found.noise_floor) == (shape_sigma_mm, noise_floor)
+        assert resolve_segment(found, "CT") is found
+        given = SegmentSettings(shape_sigma_mm=0.0, noise_floor=1.5)
+        assert resolve_segment(given, modality).model_dump() == given.model_dump()
+        half = resolve_segment(SegmentSettings(shape_sigma_mm=0.0), modality)
+        assert (half.shape_sigma_mm, half.noise_floor) == (0.0, noise_floor)
 
 
 def test_two_chambers_part_at_the_door_between_them():

@@ -75,8 +75,7 @@ def test_what_is_less_confident_is_more_often_wrong(noisy_heart):
     for value in np.unique(truth):
         inside = np.flatnonzero(truth == value)
         markers.flat[random.choice(inside, 12)] = value
-    stated = SegmentSettings()
-    tree = scan_tree(filtered, gradient_sigma_mm=stated.gradient_sigma_mm, shape_sigma_mm=stated.shape_sigma_mm)
+    tree = scan_tree(filtered, SegmentSettings())
     sureness = sureness_of(tree, Markers(markers, filtered.geometry))
     forest = solve_forest(tree, markers)
     wrong = (forest.labels != truth)[markers == UNMARKED]

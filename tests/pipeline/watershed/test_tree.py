@@ -1,3 +1,4 @@
+import dataclasses
 import subprocess
 import sys
 
@@ -10,12 +11,14 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from heartcase.pipeline.artifacts.cache import Cache
 from heartcase.pipeline.data import UNMARKED, Scan
+from heartcase.pipeline.image.landscape import landscape
 from heartcase.pipeline.watershed import tree_cache as kept
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.pipeline.watershed.tree_cache import scan_tree
 from heartcase.schemas.errors import StageError
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.recipe.settings import SegmentSettings
 
 
 def noise(seed, shape=(15, 21, 18), sigma=0.8):
@@ -132,20 +135,39 @@ def test_a_kept_tree_is_the_tree(tmp_path, monkeypatch):
     values = np.random.default_rng(6).normal(0.0, 50.0, (9, 10, 11)).astype(np.float32)
     scan = Scan(values, Geometry.of(shape=values.shape, spacing_mm=(1.0, 1.0, 2.0)))
     cache = Cache(tmp_path)
-    given = {"gradient_sigma_mm": 0.0, "shape_sigma_mm": 2.0, "cache": cache, "scan_sha256": "a"}
-    first = scan_tree(scan, **given)
+    stated = SegmentSettings(shape_sigma_mm=2.0, noise_floor=1.0)
+    kept_in = {"cache": cache, "scan_sha256": "a"}
+    first = scan_tree(scan, stated, **kept_in)
 
     def no_work(height):
         raise AssertionError("worked out again")
 
     with monkeypatch.context() as patched:
         patched.setattr(kept, "build_basin_tree", no_work)
-        again = scan_tree(scan, **given)
+        again = scan_tree(scan, stated, **kept_in)
         for name in ("height", "direction", "basin", "root", "key"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
-        for changed in ({"scan_sha256": "b"}, {"gradient_sigma_mm": 1.0}, {"shape_sigma_mm": 0.0}):
+        with pytest.raises(AssertionError, match="worked out"):
+            scan_tree(scan, stated, **(kept_in | {"scan_sha256": "b"}))
+        for changed in ({"gradient_sigma_mm": 1.0}, {"shape_sigma_mm": 0.0}, {"noise_floor": 0.0}):
             with pytest.raises(AssertionError, match="worked out"):
-                scan_tree(scan, **(given | changed))
+                scan_tree(scan, stated.model_copy(update=changed), **kept_in)
     for file in tmp_path.glob("basins-*.safetensors"):
         file.write_bytes(file.read_bytes()[:-3] + b"xyz")
-    np.testing.assert_array_equal(scan_tree(scan, **given).key, first.key)
+    np.testing.assert_array_equal(scan_tree(scan, stated, **kept_in).key, first.key)
+
+
+def test_a_tree_is_made_as_its_kind_of_scan_asks():
+    values = np.random.default_rng(6).normal(0.0, 50.0, (9, 10, 11)).astype(np.float32)
+    geometry = Geometry.of(shape=values.shape, spacing_mm=(1.0, 1.0, 2.0))
+    for modality, stated in (
+        ("CT", {"shape_sigma_mm": 2.0, "noise_floor": 3.5}),
+        ("MR", {"shape_sigma_mm": 3.0, "noise_floor": 0.0}),
+        ("unknown", {"shape_sigma_mm": 3.0, "noise_floor": 0.0}),
+    ):
+        scan = Scan(values, geometry, modality)
+        want = landscape(values, geometry.spacing_mm, gradient_sigma_mm=0.0, **stated)
+        np.testing.assert_array_equal(scan_tree(scan, SegmentSettings()).height, want)
+        np.testing.assert_array_equal(
+            scan_tree(dataclasses.replace(scan, modality="MR"), SegmentSettings(**stated)).height, want
+        )
