@@ -3,7 +3,7 @@
     confidence = 1 - (own / other)^4 * (d_own / (d_own + d_rival))^2
 
 with the passes ``own`` and ``other`` of :mod:`heartcase.pipeline.watershed.certainty` and the distances to the nearest
-voxels marked with the voxel's label and with its rival's: what :mod:`heartcase.pipeline.markers.suggest` weighs its
+voxels painted with the voxel's label and with its rival's: what :mod:`heartcase.pipeline.markers.suggest` weighs its
 places by. It is 1 on a marker, and where there is no other label.
 
 The passes alone say little inside blood: where chambers are open to each other, both are those of the noise. It is an
@@ -80,10 +80,10 @@ def voxel_confidence(forest: Forest, geometry: Geometry, feet: FootCertainty | N
     # above a marked voxel the label may be the foot's rival: then the foot's own is the other one
     rival = np.where(rival == labels, forest.foot_label[basin], rival)
     own_mm, rival_mm = np.zeros(labels.shape, np.float32), np.zeros(labels.shape, np.float32)
-    for value in np.unique(forest.marks[forest.marks != UNMARKED]).tolist():
+    for value in np.unique(forest.painted[forest.painted != UNMARKED]).tolist():
         # The label's markers have its label, so they lie in the box of those that ask for it.
         box = box_of((labels == value) | (rival == value))
-        unmarked = np.ascontiguousarray(forest.marks[box] != value)
+        unmarked = np.ascontiguousarray(forest.painted[box] != value)
         away = edt.edt(unmarked, anisotropy=geometry.spacing_mm[::-1], black_border=False, parallel=0)
         np.copyto(own_mm[box], away, where=labels[box] == value)
         np.copyto(rival_mm[box], away, where=rival[box] == value)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -389,11 +388,7 @@ class SegmentationSession:
         """The segmentation as it is now, copied: it can be looked at in another thread while painting goes on."""
         from heartcase.pipeline.markers.states import StillSegmentation
 
-        forest = self._forest
-        forest.settle()
-        names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
-        copies = {name: getattr(forest, name).copy() for name in names}
-        return StillSegmentation(replace(forest, **copies), self.geometry, self.table, self.right_places)
+        return StillSegmentation(self._forest.copy(), self.geometry, self.table, self.right_places)
 
     @property
     def marked(self) -> UInt8:

@@ -1,27 +1,30 @@
 """Places where one more stroke would change most: where to paint next, and when to stop.
 
-At any place a stroke of another label changes a known volume (:mod:`heartcase.pipeline.watershed.subtrees`). Where it
-is worth a look is guessed: at each basin's lowest voxel
+At any place a stroke of another label changes a known volume (:mod:`heartcase.pipeline.watershed.subtrees`); in a flat
+minimum that is marked already, a dab is tried (:mod:`heartcase.pipeline.markers.flat_places`). Where it is worth a look
+is guessed: at each basin's lowest voxel, and at one voxel for each label in such a flat,
 
     worth = min(volume, 5 ml) * (own / other)^4 * (d_own / (d_own + d_rival))^2
 
 with the passes ``own`` and ``other`` of :mod:`heartcase.pipeline.watershed.certainty` and the distances to the nearest
-voxels marked with the voxel's label and with its rival's. Larger volumes count no more, since they hold most of a
+voxels painted with the voxel's label and with its rival's. Larger volumes count no more, since they hold most of a
 structure, with its own strokes. Background far from the heart is not worth a look: air in a corner of the scan is as
 unsure as can be, as nobody marks it. ``heartcase bench segment-confidence`` measures how many of the places are wrong.
 """
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import edt
 import numpy as np
-from scipy.spatial import cKDTree
 
 from heartcase.pipeline.data import UNMARKED
+from heartcase.pipeline.markers.distances import far_from_heart, nearness, positions_mm
+from heartcase.pipeline.markers.flat_places import FlatPlaces, changed_by_dab, flat_places, in_marked_flat
 from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
@@ -29,7 +32,7 @@ from heartcase.pipeline.watershed.marks import mark_below
 from heartcase.pipeline.watershed.subtrees import ForestPieces, forest_pieces
 from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.geometry import Geometry
-from heartcase.schemas.labels import BACKGROUND, LabelTable
+from heartcase.schemas.labels import LabelTable
 
 __all__ = ["DISTANCE_POWER", "DOUBT_POWER", "SURE", "RightPlace", "StrokePlace", "StrokePlaces", "suggest_strokes"]
 
@@ -39,8 +42,6 @@ SURE = 0.5
 LEAST_ML = 0.02
 """Less than this is not worth a stroke."""
 LARGE_ML = 5.0
-FAR_MM = 20.0
-"""Background further than this from everything that is labelled as heart is not named."""
 DOUBT_POWER = 4
 DISTANCE_POWER = 2
 
@@ -50,17 +51,19 @@ class StrokePlace:
     """A place where one more stroke would change much."""
 
     position_mm: tuple[float, float, float]
-    """A voxel where the scan is flattest, LPS mm."""
+    """Centre of a voxel where the scan is flattest, LPS mm."""
     label: int
     """Label that the place has now."""
     rival: int
     """The other label that reaches it over the lowest pass."""
     change_ml: float
-    """What a stroke of any other label there changes, ml: exactly this, where it stays within ``radius_mm``."""
+    """What a stroke there changes, ml: exactly this, where it stays within ``radius_mm``. Of any other label; in a flat
+    minimum that is marked already, of the rival."""
     certainty: float
     """Certainty of the place, 0 to 1."""
     radius_mm: float
-    """Distance to the nearest voxel that would not change: a narrower brush stays inside."""
+    """Distance to the nearest voxel that would not change: a narrower brush stays inside. In a flat minimum that is
+    marked already one voxel: a wider brush changes more."""
     worth_ml: float
     """What a look is worth: ``change_ml``, at most 5 ml, times 1 - ``confidence``."""
 
@@ -147,38 +150,153 @@ def suggest_strokes(
         place of the same two labels less than ``apart_mm`` from it.
     """
     feet = feet or foot_certainty(forest)
-    pieces = forest_pieces(forest)
-    found = _candidates(forest, feet, pieces, geometry)
-    root_mm = _positions_mm(forest.tree.root[found.basin], geometry)
+    choice = _Choice(forest, feet, geometry, apart_mm, right)
     places: list[StrokePlace] = []
-    taken = np.zeros(len(pieces.level), np.bool_)
-    open_to_choice = ~_are_right(forest, feet, pieces, found.basin, root_mm, geometry, right, apart_mm)
-    for n in np.lexsort((found.basin, -found.worth)).tolist():
-        if len(places) == count:
-            break
-        if not open_to_choice[n]:
-            continue
-        basin = int(found.basin[n])
-        would = pieces.hanging_on(int(pieces.piece[basin]))
-        if (would & taken).any():
-            open_to_choice[pieces.piece[found.basin] == pieces.piece[basin]] = False
-            continue
-        taken |= would
-        open_to_choice &= ~would[pieces.piece[found.basin]]
-        open_to_choice &= ((root_mm - root_mm[n]) ** 2).sum(axis=1) >= apart_mm**2
-        x, y, z = root_mm[n].tolist()
-        places.append(
-            StrokePlace(
+    while (best := choice.best()) is not None and len(places) < count:
+        places.append(choice.take(best))
+    return StrokePlaces(tuple(places), 0.0 if best is None else best.worth)
+
+
+class _Best(NamedTuple):
+    """A candidate with what it really changes."""
+
+    worth: float
+    number: int
+    """Of the basin among the candidates; of the flat place, counted on from them."""
+
+
+class _Choice:
+    """Candidates by falling worth, each only while it changes nothing that a place which was taken changes."""
+
+    def __init__(
+        self, forest: Forest, feet: FootCertainty, geometry: Geometry, apart_mm: float, right: Sequence[RightPlace]
+    ) -> None:
+        self._forest, self._feet, self._geometry, self._apart_mm = forest, feet, geometry, apart_mm
+        self._pieces = pieces = forest_pieces(forest)
+        self._found = found = _candidates(forest, feet, pieces, geometry)
+        self._flats = _flat_places(forest, feet, geometry, right, apart_mm)
+        self._place_mm = positions_mm(np.concatenate([forest.tree.root[found.basin], self._flats.voxel]), geometry)
+        self._taken = np.zeros(len(pieces.level), np.bool_)
+        root_mm = self._place_mm[: len(found.basin)]
+        are_right = _are_right(forest, feet, pieces, found.basin, root_mm, geometry, right, apart_mm)
+        self._is_open = np.concatenate([~are_right, np.ones(len(self._flats.voxel), np.bool_)])
+        about = self._flats.doubt * np.minimum(self._flats.about_ml, LARGE_ML)
+        worth = np.concatenate([found.worth, about])
+        # of equal worth the first basin; it is a heap, as it is in order
+        self._queue = [(-float(worth[n]), n) for n in np.argsort(-worth, kind="stable").tolist()]
+        self._changed: dict[int, Int64] = {}
+        self._changed_before = np.zeros(0, np.bool_)
+        self._copy: Forest | None = None
+
+    def best(self) -> _Best | None:
+        """The candidate that is worth most, what is changed in flats tried; None where there is none."""
+        while self._queue:
+            worth, number = self._queue[0]
+            if not self._is_open[number] or self._meets_taken(number):
+                heapq.heappop(self._queue)
+            elif number < len(self._found.basin) or number in self._changed:
+                return _Best(-worth, number)
+            else:
+                heapq.heappop(self._queue)
+                self._try(number)
+        return None
+
+    def take(self, best: _Best) -> StrokePlace:
+        """The place; what changes with it, and what is near it, is no choice any more."""
+        number, basin_count = best.number, len(self._found.basin)
+        heapq.heappop(self._queue)
+        self._is_open &= ((self._place_mm - self._place_mm[number]) ** 2).sum(axis=1) >= self._apart_mm**2
+        x, y, z = self._place_mm[number].tolist()
+        if number >= basin_count:
+            flats, n, changed = self._flats, number - basin_count, self._changed[number]
+            self._taken[self._pieces_of(changed)] = True
+            self._note(changed)
+            return StrokePlace(
                 (x, y, z),
-                int(forest.foot_label[basin]),
-                int(feet.rival[basin]),
-                float(found.ml[n]),
-                float(feet.certainty[basin]),
-                _depth_mm(forest, np.flatnonzero(would[pieces.piece]), int(forest.tree.root[basin]), geometry),
-                float(found.worth[n]),
+                int(flats.label[n]),
+                int(flats.rival[n]),
+                len(changed) * self._geometry.voxel_volume_mm3 / 1000.0,
+                float(flats.certainty[n]),
+                min(self._geometry.spacing_mm),
+                best.worth,
             )
+        forest, feet, basin = self._forest, self._feet, int(self._found.basin[number])
+        would = self._pieces.hanging_on(int(self._pieces.piece[basin]))
+        self._taken |= would
+        taken = would[self._pieces.piece]
+        self._close(taken)
+        basins = np.flatnonzero(taken)
+        if len(self._flats.voxel):
+            self._note(_foot_voxels(forest, basins))
+        return StrokePlace(
+            (x, y, z),
+            int(forest.foot_label[basin]),
+            int(feet.rival[basin]),
+            float(self._found.ml[number]),
+            float(feet.certainty[basin]),
+            _depth_mm(forest, basins, int(forest.tree.root[basin]), self._geometry),
+            best.worth,
         )
-    return StrokePlaces(tuple(places), float(found.worth[open_to_choice].max(initial=0.0)))
+
+    def _meets_taken(self, number: int) -> bool:
+        """Whether a candidate changes what a place that was taken changes."""
+        if number >= len(self._found.basin):
+            changed = self._changed.get(number)
+            return changed is not None and len(self._changed_before) > 0 and bool(self._changed_before[changed].any())
+        piece = int(self._pieces.piece[self._found.basin[number]])
+        if not (self._pieces.hanging_on(piece) & self._taken).any():
+            return False
+        self._close(self._pieces.piece == piece)
+        return True
+
+    def _close(self, of_piece: Bool) -> None:
+        """Leave out basins of some pieces, bool, shape (basins,), from now on."""
+        self._is_open[: len(self._found.basin)] &= ~of_piece[self._found.basin]
+
+    def _try(self, number: int) -> None:
+        """Find out what a dab in a flat changes, and queue it with that."""
+        flats, n = self._flats, number - len(self._found.basin)
+        if self._copy is None:
+            self._copy = self._forest.copy()
+            self._copy.puts_off = False
+        changed = changed_by_dab(self._copy, int(flats.voxel[n]), int(flats.rival[n]))
+        ml = len(changed) * self._geometry.voxel_volume_mm3 / 1000.0
+        if ml >= LEAST_ML:
+            self._changed[number] = changed
+            heapq.heappush(self._queue, (-float(flats.doubt[n]) * min(ml, LARGE_ML), number))
+
+    def _pieces_of(self, voxels: Int64) -> Int64:
+        """Pieces with feet among some voxels, but for those that hang on no face."""
+        pieces: Int64 = np.unique(self._pieces.piece[self._forest.tree.basin.ravel()[voxels]]).astype(np.int64)
+        hung: Int64 = pieces[self._pieces.level[pieces] != 0]
+        return hung
+
+    def _note(self, changed: Int64) -> None:
+        if not len(self._changed_before):
+            self._changed_before = np.zeros(self._forest.labels.size, np.bool_)
+        self._changed_before[changed] = True
+
+
+def _flat_places(
+    forest: Forest, feet: FootCertainty, geometry: Geometry, right: Sequence[RightPlace], apart_mm: float
+) -> FlatPlaces:
+    said = [
+        (np.array(one.position_mm), one.label, one.rival, apart_mm)
+        for one in right
+        if _index_of(forest, one, geometry) is not None
+    ]
+    return flat_places(
+        forest, feet, geometry, least_ml=LEAST_ML, sure=SURE, powers=(DOUBT_POWER, DISTANCE_POWER), but_near=said
+    )
+
+
+def _index_of(forest: Forest, right: RightPlace, geometry: Geometry) -> tuple[int, ...] | None:
+    """Index [z, y, x] of a place that was found right; None where it has another label now, or none."""
+    index = np.rint(geometry.world_to_index(right.position_mm)[::-1]).astype(np.int64)
+    shape = forest.labels.shape
+    if (index < 0).any() or (index >= shape).any() or forest.labels[tuple(index)] != right.label:
+        return None
+    return tuple(index.tolist())
 
 
 def _are_right(
@@ -195,10 +313,10 @@ def _are_right(
     found = np.zeros(len(basin), np.bool_)
     shape = forest.labels.shape
     for one in right:
-        index = np.rint(geometry.world_to_index(one.position_mm)[::-1]).astype(np.int64)
-        if (index < 0).any() or (index >= shape).any() or forest.labels[tuple(index)] != one.label:
+        index = _index_of(forest, one, geometry)
+        if index is None:
             continue
-        same = pieces.piece[basin[forest.tree.root[basin] == np.ravel_multi_index(tuple(index), shape)]]
+        same = pieces.piece[basin[forest.tree.root[basin] == np.ravel_multi_index(index, shape)]]
         found |= np.isin(pieces.piece[basin], same)
         near = ((root_mm - one.position_mm) ** 2).sum(axis=1) < apart_mm**2
         found |= near & (forest.foot_label[basin] == one.label) & (feet.rival[basin] == one.rival)
@@ -209,35 +327,14 @@ def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geome
     """All basins that are unsure, would change enough, and have a rival."""
     ml = pieces.flipped_count[pieces.piece].astype(np.float64) * (geometry.voxel_volume_mm3 / 1000.0)
     sure = feet.certainty.astype(np.float64)
-    basin = np.flatnonzero((feet.rival != UNMARKED) & (sure < SURE) & (ml >= LEAST_ML))
-    basin = basin[~_far_from_heart(forest, basin, geometry)]
-    root_mm = _positions_mm(forest.tree.root[basin], geometry)
-    own_mm, rival_mm = np.empty(len(basin)), np.empty(len(basin))
-    marks = forest.marks.ravel()
-    own, rival = forest.foot_label[basin], feet.rival[basin]
-    for label in np.union1d(own, rival).tolist():
-        tree = cKDTree(_positions_mm(np.flatnonzero(marks == label), geometry))
-        for wanted, distance in ((own, own_mm), (rival, rival_mm)):
-            distance[wanted == label] = tree.query(root_mm[wanted == label])[0]
-    nearness = own_mm / np.maximum(own_mm + rival_mm, np.finfo(float).tiny)
+    basin = np.flatnonzero((feet.rival != UNMARKED) & (sure < SURE) & (ml >= LEAST_ML) & ~in_marked_flat(forest))
+    basin = basin[~far_from_heart(forest, forest.tree.root[basin], forest.foot_label[basin], geometry)]
+    near_rival, _ = nearness(
+        forest.tree.root[basin], forest.foot_label[basin], feet.rival[basin], forest.painted, geometry
+    )
     doubt = (1.0 - sure[basin]) ** DOUBT_POWER
-    worth = np.minimum(ml[basin], LARGE_ML) * doubt * nearness**DISTANCE_POWER
+    worth = np.minimum(ml[basin], LARGE_ML) * doubt * near_rival**DISTANCE_POWER
     return _Candidates(basin, ml[basin], worth)
-
-
-def _far_from_heart(forest: Forest, basin: Int64, geometry: Geometry) -> Bool:
-    """Which basins are background whose lowest voxel is far from that of every basin of the heart."""
-    far: Bool = forest.foot_label[basin] == BACKGROUND
-    heart = np.flatnonzero((forest.foot_label != BACKGROUND) & (forest.foot_label != UNMARKED))
-    if far.any():
-        tree = cKDTree(_positions_mm(forest.tree.root[heart], geometry))
-        away_mm = tree.query(_positions_mm(forest.tree.root[basin[far]], geometry), distance_upper_bound=FAR_MM)[0]
-        far[far] = ~np.isfinite(away_mm)
-    return far
-
-
-def _positions_mm(voxels: Int64, geometry: Geometry) -> Float64:
-    return geometry.index_to_world(np.stack(np.unravel_index(voxels, geometry.shape)[::-1], axis=-1))
 
 
 def _depth_mm(forest: Forest, basins: Int64, voxel: int, geometry: Geometry) -> float:

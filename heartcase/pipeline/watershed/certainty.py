@@ -7,7 +7,8 @@ is that pass, ``other`` the lowest pass of all other labels, and
     certainty = 1 - own / other
 
 0 where another label comes over a pass as low (also where ``other`` is 0), 1 where there is no other label. It is free
-of scale: a landscape twice as high has the same certainties. A marked voxel has certainty 1.
+of scale: a landscape twice as high has the same certainties. A painted voxel has certainty 1; one that got its mark
+when a contested flat minimum was divided (:mod:`heartcase.pipeline.watershed.plateaus`) has 0.
 
 All ways count, also those across marked voxels: a stroke lifts the certainty of what hangs on it, but is no dam.
 
@@ -107,7 +108,7 @@ def voxel_certainty(forest: Forest, feet: FootCertainty | None = None) -> Float3
     _fill_voxels(
         row_chunks(certainty.shape) * tree.height.shape[2],
         (tree.height.ravel(), tree.direction.ravel(), tree.basin.ravel(), side_offsets(certainty.shape)),
-        forest.marks.ravel(),
+        (forest.painted.ravel(), forest.marks.ravel()),
         forest.lowest_mark,
         forest.foot_label,
         feet.own,
@@ -207,9 +208,10 @@ def _find_others(landscape, faces, lowest_mark, lowest_rival, foot_label):
 @loop_kernel
 def _fill_voxels(chunks, landscape, marks, lowest_mark, foot_label, own, other, certainty):
     height, direction, basin, offsets = landscape
+    painted, marks = marks
     for c in numba.prange(len(chunks) - 1):
         for v in range(chunks[c], chunks[c + 1]):
-            if marks[v] != UNMARKED:
+            if painted[v] != UNMARKED:
                 certainty[v] = 1.0
                 continue
             b = basin[v]

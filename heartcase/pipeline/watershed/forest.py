@@ -10,7 +10,7 @@ voxel; it is what a new way has to beat.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -113,6 +113,12 @@ class Forest:
         """Begin with nothing put off."""
         self.put_off = np.zeros([-(-n // TILE) for n in self.tree.height.shape], np.bool_)
         self.stamps = np.zeros(self.put_off.shape, np.int64)
+
+    def copy(self) -> Forest:
+        """The same forest, settled, with arrays of its own; both have one tree."""
+        self.settle()
+        names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
+        return replace(self, **{name: getattr(self, name).copy() for name in names})
 
     def paint(self, voxels: Int64, label: int) -> Box | None:
         """Mark voxels with a label, and mend the forest where that changes it.

@@ -35,16 +35,16 @@ def test_it_is_its_formula_with_passes_and_distances_by_brute_force(shape, level
     forest = solve_forest(build_basin_tree(height), markers)
     geometry = Geometry.of(shape=shape, spacing_mm=SPACING)
     got = voxel_confidence(forest, geometry)
-    every = passes(height, forest.marks)
+    every = passes(height, markers)
     where = np.argwhere(np.ones(shape, bool)) * np.array(SPACING[::-1])
     away = {
-        label: np.linalg.norm(where[:, None] - where[forest.marks.ravel() == label], axis=-1).min(axis=1).reshape(shape)
+        label: np.linalg.norm(where[:, None] - where[markers.ravel() == label], axis=-1).min(axis=1).reshape(shape)
         for label in every
     }
     for index in np.ndindex(*shape):
         own = int(forest.labels[index])
         others = {label: climb[index] for label, climb in every.items() if label != own}
-        if forest.marks[index] != UNMARKED or not others:
+        if markers[index] != UNMARKED or not others:
             assert got[index] == 1.0
             continue
         other = min(others.values())

@@ -56,7 +56,7 @@ def expected(height, markers, labels):
 def test_passes_and_certainties_are_those_of_the_voxel_graph(shape, levels, seed, count, labels):
     height, markers = landscape(shape, levels, seed), painted(shape, count, labels, seed)
     forest = solve_forest(build_basin_tree(height), markers)
-    every, _, _, certainty = expected(height, forest.marks, forest.labels)
+    every, _, _, certainty = expected(height, markers, forest.labels)
     got = foot_certainty(forest)
     root, foot = forest.tree.root, forest.foot_label
     root_passes = np.array([every[label].ravel()[root] for label in every]).reshape(len(every), len(root))
@@ -71,7 +71,7 @@ def test_passes_and_certainties_are_those_of_the_voxel_graph(shape, levels, seed
             assert rival != foot[n]
             assert every[int(rival)].ravel()[root[n]] == got.other[n]
     np.testing.assert_allclose(voxel_certainty(forest, got), certainty, rtol=0.0, atol=2e-7)
-    free = forest.marks.ravel()[root] == UNMARKED
+    free = markers.ravel()[root] == UNMARKED
     np.testing.assert_allclose(got.certainty[free], certainty.ravel()[root][free], rtol=0.0, atol=2e-7)
 
 
