@@ -98,7 +98,7 @@ def flat_places(
     basin = tree.basin.ravel()[voxel]
     label, foot = forest.labels.ravel()[voxel], forest.foot_label[basin]
     is_foot = label == foot
-    rival = np.where(is_foot, feet.rival[basin], foot)
+    rival = np.where(feet.rival[basin] == label, foot, feet.rival[basin])
     height, other = tree.height.ravel()[voxel].astype(np.float64), feet.other[basin].astype(np.float64)
     part = np.ones(len(voxel))
     np.divide(height, other, out=part, where=is_foot & np.isfinite(other) & (other > 0.0))

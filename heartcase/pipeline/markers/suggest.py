@@ -151,10 +151,12 @@ def suggest_strokes(
     """
     feet = feet or foot_certainty(forest)
     choice = _Choice(forest, feet, geometry, apart_mm, right)
-    places: list[StrokePlace] = []
-    while (best := choice.best()) is not None and len(places) < count:
-        places.append(choice.take(best))
-    return StrokePlaces(tuple(places), 0.0 if best is None else best.worth)
+    found: list[StrokePlace] = []
+    while len(found) <= count and (best := choice.best()) is not None:
+        found.append(choice.take(best))
+    # a flat that was tried late may be worth more than was guessed
+    found.sort(key=lambda place: -place.worth_ml)
+    return StrokePlaces(tuple(found[:count]), found[count].worth_ml if len(found) > count else 0.0)
 
 
 class _Best(NamedTuple):

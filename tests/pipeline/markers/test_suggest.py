@@ -6,8 +6,11 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from heartcase.pipeline.data import UNMARKED
+from heartcase.pipeline.markers.confidence import voxel_confidence
+from heartcase.pipeline.markers.flat_places import in_marked_flat
 from heartcase.pipeline.markers.load_markers import stroke_voxels
 from heartcase.pipeline.markers.suggest import LEAST_ML, SURE, RightPlace, suggest_strokes
+from heartcase.pipeline.watershed.certainty import foot_certainty
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.geometry import Geometry
@@ -162,3 +165,89 @@ def test_a_doubtful_lake_in_the_background_is_named_only_near_the_heart():
     found = suggest_strokes(forest, geometry)
     np.testing.assert_allclose([place.position_mm for place in found.places], near, atol=1e-9)
     assert found.rest_ml == 0.0
+
+
+def over_a_floor(seed, shape, quantile=0.45):
+    """A rough landscape with a floor under it: flat minima of many voxels."""
+    height = rough(seed, shape)
+    return np.maximum(height, np.quantile(height, quantile).astype(np.float32))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_over_a_floor_too_a_stroke_changes_exactly_the_volume_that_was_said(seed):
+    shape = (20, 24, 28)
+    geometry = oblique(shape, (1.5, 2.0, 2.5))
+    markers = np.full(shape, UNMARKED, np.uint8)
+    markers.flat[np.random.default_rng(seed).choice(markers.size, 12, replace=False)] = [0, 1, 2, 3] * 3
+    forest = solve_forest(build_basin_tree(over_a_floor(seed, shape)), markers)
+    before = {name: getattr(forest, name).copy() for name in ("labels", "marks", "painted", "foot_level", "flat_label")}
+    found = suggest_strokes(forest, geometry, count=10, apart_mm=4.0)
+    for name, values in before.items():
+        np.testing.assert_array_equal(getattr(forest, name), values)
+    feet = foot_certainty(forest)
+    confidence = voxel_confidence(forest, geometry, feet)
+    changed_before = np.zeros(shape, bool)
+    in_flats = 0
+    for place in found.places:
+        index = tuple(np.rint(geometry.world_to_index(np.array(place.position_mm))).astype(int)[::-1])
+        assert forest.labels[index] == place.label != place.rival
+        assert place.change_ml >= LEAST_ML
+        assert 0.0 <= place.certainty < SURE
+        is_in_flat = bool(in_marked_flat(forest)[forest.tree.basin[index]])
+        in_flats += is_in_flat
+        for radius in (0.0, 0.999 * place.radius_mm):
+            for label in (place.rival,) if is_in_flat else (place.rival, 9):
+                stroke = Stroke(label="any", radius_mm=min(radius, 50.0), points_mm=(place.position_mm,))
+                painted = markers.copy()
+                painted.flat[stroke_voxels(stroke, geometry)] = label
+                changed = solve_forest(forest.tree, painted).labels != forest.labels
+                assert changed.sum() * geometry.voxel_volume_mm3 / 1000.0 == pytest.approx(place.change_ml, abs=1e-9)
+        assert place.confidence == pytest.approx(confidence[index], abs=1e-5)
+        assert not (changed & changed_before).any()
+        changed_before |= changed
+    assert in_flats > 0
+    worth = [place.worth_ml for place in found.places]
+    assert worth == sorted(worth, reverse=True)
+    assert worth[-1] >= found.rest_ml
+
+
+def test_in_a_flat_that_two_labels_share_a_place_is_named_far_from_the_markers_of_its_label():
+    # a tube as flat as can be, marked near both ends; a person knows that the far half of label 1 is label 2
+    shape = (9, 9, 60)
+    height = np.full(shape, 5.0, np.float32)
+    height[2:7, 2:7, 2:58] = 1.0
+    markers = marked(shape, label0=(0, 0, 0), label1=(4, 4, 4), label2=(4, 4, 50))
+    geometry = oblique(shape, (1.0, 1.0, 1.0))
+    forest = solve_forest(build_basin_tree(height), markers)
+    places = suggest_strokes(forest, geometry, count=5).places
+    one = next(place for place in places if (place.label, place.rival) == (1, 2))
+    x, y, z = np.rint(geometry.world_to_index(np.array(one.position_mm)))
+    assert 15 <= x <= 27
+    assert 2 <= y <= 6
+    assert 2 <= z <= 6
+    assert one.certainty == 0.0
+    assert one.radius_mm == 1.0
+    # what is nearer to it than to the marker of its own label, as far as that has label 1
+    assert 25 * (27 - x) / 1000.0 <= one.change_ml <= 2 * 81 * (27 - 4) / 1000.0
+    # found right, another place is named, or none
+    right = RightPlace(one.position_mm, 1, 2)
+    for place in suggest_strokes(forest, geometry, count=5, right=[right]).places:
+        away = np.linalg.norm(np.subtract(place.position_mm, one.position_mm))
+        assert (place.label, place.rival) != (1, 2) or away >= 10.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_over_a_floor_too_finding_all_places_right_comes_to_an_end(seed):
+    shape = (14, 16, 18)
+    geometry = oblique(shape, (1.5, 2.0, 2.5))
+    markers = np.full(shape, UNMARKED, np.uint8)
+    markers.flat[np.random.default_rng(seed).choice(markers.size, 8, replace=False)] = [0, 1, 2, 3] * 2
+    forest = solve_forest(build_basin_tree(over_a_floor(seed, shape)), markers)
+    said = []
+    while places := suggest_strokes(forest, geometry, count=1, apart_mm=4.0, right=said).places:
+        for one in said:
+            away = np.linalg.norm(np.subtract(places[0].position_mm, one.position_mm))
+            assert away >= 4.0 or (places[0].label, places[0].rival) != (one.label, one.rival)
+        said.append(RightPlace(places[0].position_mm, places[0].label, places[0].rival))
+        assert len(said) < 300
+    assert said
