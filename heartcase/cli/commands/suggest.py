@@ -32,7 +32,8 @@ def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_jso
     """Name the places of RECIPE's segmentation where one more stroke is worth most.
 
     Look at each in the scan. Where its label is wrong, paint the right one there: a dab of a brush narrower than the
-    radius given changes exactly the volume given. Where it is right, nothing need be done.
+    radius given changes exactly the volume given, or in smooth blood of a CT at least that. Where it is right, nothing
+    need be done.
 
     With --ends, name the places where vessels end that no entry of 'ends' cuts, with the lines to put into RECIPE.
     --write puts them there; the rest of it stays, but for ends = "automatic", which they take the place of.

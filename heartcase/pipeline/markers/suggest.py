@@ -57,13 +57,12 @@ class StrokePlace:
     rival: int
     """The other label that reaches it over the lowest pass."""
     change_ml: float
-    """What a stroke there changes, ml: exactly this, where it stays within ``radius_mm``. Of any other label; in a flat
-    minimum that is marked already, of the rival."""
+    """What a stroke of any other label there changes, ml: exactly this, where it stays within ``radius_mm``. In a flat
+    minimum that is marked already: what a dab of one voxel of the rival changes; a wider one changes more."""
     certainty: float
     """Certainty of the place, 0 to 1."""
     radius_mm: float
-    """Distance to the nearest voxel that would not change: a narrower brush stays inside. In a flat minimum that is
-    marked already one voxel: a wider brush changes more."""
+    """Distance to the nearest voxel that would not change: a narrower brush stays inside."""
     worth_ml: float
     """What a look is worth: ``change_ml``, at most 5 ml, times 1 - ``confidence``."""
 
@@ -205,7 +204,7 @@ class _Choice:
 
     def take(self, best: _Best) -> StrokePlace:
         """The place; what changes with it, and what is near it, is no choice any more."""
-        number, basin_count = best.number, len(self._found.basin)
+        forest, number, basin_count = self._forest, best.number, len(self._found.basin)
         heapq.heappop(self._queue)
         self._is_open &= ((self._place_mm - self._place_mm[number]) ** 2).sum(axis=1) >= self._apart_mm**2
         x, y, z = self._place_mm[number].tolist()
@@ -219,24 +218,24 @@ class _Choice:
                 int(flats.rival[n]),
                 len(changed) * self._geometry.voxel_volume_mm3 / 1000.0,
                 float(flats.certainty[n]),
-                min(self._geometry.spacing_mm),
+                _depth_mm(forest.labels.shape, changed, int(flats.voxel[n]), self._geometry),
                 best.worth,
             )
-        forest, feet, basin = self._forest, self._feet, int(self._found.basin[number])
+        feet, basin = self._feet, int(self._found.basin[number])
         would = self._pieces.hanging_on(int(self._pieces.piece[basin]))
         self._taken |= would
         taken = would[self._pieces.piece]
         self._close(taken)
-        basins = np.flatnonzero(taken)
+        changed = _foot_voxels(forest, np.flatnonzero(taken))
         if len(self._flats.voxel):
-            self._note(_foot_voxels(forest, basins))
+            self._note(changed)
         return StrokePlace(
             (x, y, z),
             int(forest.foot_label[basin]),
             int(feet.rival[basin]),
             float(self._found.ml[number]),
             float(feet.certainty[basin]),
-            _depth_mm(forest, basins, int(forest.tree.root[basin]), self._geometry),
+            _depth_mm(forest.labels.shape, changed, int(forest.tree.root[basin]), self._geometry),
             best.worth,
         )
 
@@ -339,10 +338,9 @@ def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geome
     return _Candidates(basin, ml[basin], worth)
 
 
-def _depth_mm(forest: Forest, basins: Int64, voxel: int, geometry: Geometry) -> float:
-    """Distance of a voxel from the nearest one that is in none of some basins' feet, mm."""
-    shape = forest.tree.height.shape
-    index = np.stack(np.unravel_index(_foot_voxels(forest, basins), shape))
+def _depth_mm(shape: tuple[int, ...], voxels: Int64, voxel: int, geometry: Geometry) -> float:
+    """Distance of one of some voxels, flat indices, from the nearest voxel that is none of them, mm."""
+    index = np.stack(np.unravel_index(voxels, shape))
     # one voxel around, but none outside the volume: its border is no border of what changes
     low = np.maximum(index.min(axis=1) - 1, 0)
     high = np.minimum(index.max(axis=1) + 2, shape)
