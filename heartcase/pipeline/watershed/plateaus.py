@@ -74,7 +74,7 @@ def divided_anew(
     is_inside = (tree.flat[own] >= 0) & (bits[voxels] == bits[tree.root[own]])
     changed, values = [voxels[~is_inside]], [seeded[voxels[~is_inside]]]
     for number in np.unique(tree.flat[own[is_inside]]).tolist():
-        inside = _voxels_of_flat(np.flatnonzero(tree.flat == number), *tree.voxels, bits)
+        inside = _voxels_of_flat(np.flatnonzero(tree.flat == number), *tree.voxels, bits, tree.root)
         before = marked[inside]
         marked[inside] = seeded[inside]
         seeds = inside[seeded[inside] != UNMARKED]
@@ -139,7 +139,7 @@ def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):
 
 
 @kernel
-def _voxels_of_flat(basins, first_voxel, voxel_list, bits):
+def _voxels_of_flat(basins, first_voxel, voxel_list, bits, root):
     """Flat indices of the voxels of a flat minimum, ascending: those at the bottom of its basins.
 
     Parameters
@@ -150,6 +150,8 @@ def _voxels_of_flat(basins, first_voxel, voxel_list, bits):
         The voxels of each basin.
     bits
         Heights as bits, one-dimensional.
+    root
+        Flat index of each basin's lowest voxel.
     """
     count = 0
     for b in basins:
@@ -157,9 +159,7 @@ def _voxels_of_flat(basins, first_voxel, voxel_list, bits):
     found = np.empty(count, np.int64)
     count = 0
     for b in basins:
-        level = bits[voxel_list[first_voxel[b]]]
-        for n in range(first_voxel[b], first_voxel[b + 1]):
-            level = min(level, bits[voxel_list[n]])
+        level = bits[root[b]]
         for n in range(first_voxel[b], first_voxel[b + 1]):
             if bits[voxel_list[n]] == level:
                 found[count] = voxel_list[n]

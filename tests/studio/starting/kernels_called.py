@@ -19,7 +19,15 @@ LIP = (22.3, -12.0, 40.5)
 
 
 def paint(folder: Path) -> None:
-    path, middle = write_recipe(folder)
+    """On a scan with and without a noise floor: with one, most strokes lie in a flat minimum that others mark."""
+    for name, settings in (("plain", ""), ("flat", "\n[segment]\nnoise_floor = 20.0\n")):
+        (folder / name).mkdir()
+        path, middle = write_recipe(folder / name)
+        path.write_text(path.read_text() + settings)
+        _paint(path, middle)
+
+
+def _paint(path: Path, middle: list[float]) -> None:
     with studio(path) as browser, page(browser) as talker:
         for label, way in (("aorta", 2.0), ("left ventricle", -2.0), ("background", 4.0)):
             talker.ask(do="paint", label=label, radius_mm=1.0, points_mm=[middle])
