@@ -256,11 +256,11 @@ class Forest:
     def label_counts(self) -> Int64:
         """Number of voxels of each label, int64, shape (256,); nothing that was put off has to be settled for it."""
         if self._is_behind:
-            return self._solution().label_counts(self.tree, self._landscape, self.marks.reshape(-1))
+            return self._solution().label_counts(self.tree, self._way_down, self.marks.reshape(-1))
         first_voxel, voxel_list = self.tree.voxels
-        _, direction, _, offsets = self._landscape
+        _, ways, _, offsets = self._way_down
         count: Int64 = count_labels(
-            first_voxel, voxel_list, direction, offsets, self.marks.reshape(-1), self.lowest_mark, self.foot_label
+            first_voxel, voxel_list, ways, offsets, self.marks.reshape(-1), self.lowest_mark, self.foot_label
         )
         return count
 
@@ -320,6 +320,12 @@ class Forest:
         tree = self.tree
         bits, offsets = tree.height.view(np.int32).ravel(), side_offsets(tree.height.shape)
         return bits, tree.direction.ravel(), tree.basin.ravel(), offsets
+
+    @property
+    def _way_down(self) -> tuple[Int32, UInt8, Int32, Int64]:
+        """The same for what only asks for labels: ways down end at flat minima."""
+        bits, _, basin, offsets = self._landscape
+        return bits, self.tree.ways.ravel(), basin, offsets
 
     def fill(self) -> None:
         """Work out the labels and levels of all feet, where they were put off."""
@@ -418,7 +424,7 @@ class Forest:
             changed,
             first_voxel,
             voxel_list,
-            tree.direction.ravel(),
+            tree.ways.ravel(),
             side_offsets(tree.height.shape),
             self.marks.reshape(-1),
             self.lowest_mark,
@@ -434,7 +440,7 @@ class Forest:
         solved = self._solution() if self._is_behind else None
         feet = (solved.hanging.place, solved.group, solved.label) if solved else (none, none, self.foot_label)
         marks, labels = self.marks.reshape(-1), self.labels.reshape(-1)
-        paint_sight(voxels, basins, feet, self._landscape, marks, self.lowest_mark, labels, self.labels.shape, changed)
+        paint_sight(voxels, basins, feet, self._way_down, marks, self.lowest_mark, labels, self.labels.shape, changed)
 
     def _paint_boxes(self, low: Int64, high: Int64, changed: Bool) -> None:
         """The same for all voxels of boxes, side by side."""
@@ -442,8 +448,8 @@ class Forest:
         if self._table is None:
             self._table = feet.copy()
             self._table[self._marked_basins()] = MARKED_BASIN
-        landscape, marks = self._landscape[1:], self.marks.reshape(-1)
-        paint_boxes(*in_parts(low, high), self._table, *landscape, marks, feet, self.labels, changed)
+        way_down, marks = self._way_down[1:], self.marks.reshape(-1)
+        paint_boxes(*in_parts(low, high), self._table, *way_down, marks, feet, self.labels, changed)
 
     def _paint_whole(self) -> Box | None:
         self.stamps[self.put_off] = self.stamps.max() + 1
@@ -451,7 +457,7 @@ class Forest:
         rows = row_chunks(self.labels.shape)
         low, high = paint_rows(
             rows,
-            self.tree.direction.ravel(),
+            self.tree.ways.ravel(),
             self.tree.basin.ravel(),
             side_offsets(self.labels.shape),
             self.marks.ravel(),

@@ -12,14 +12,14 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.kernels.union_find import root_of
-from heartcase.pipeline.watershed.descent import side_offsets
+from heartcase.pipeline.watershed.descent import ROOT, row_chunks, side_offsets
 from heartcase.pipeline.watershed.marks import CONTESTED
 from heartcase.schemas.arrays import Float32, Int16, Int32, Int64, UInt8
 
 if TYPE_CHECKING:
     from heartcase.pipeline.watershed.tree import BasinTree
 
-__all__ = ["divide_flat", "divided_anew", "flat_minima"]
+__all__ = ["divide_flat", "divided_anew", "flat_minima", "ways_to_flats"]
 
 
 def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: Int32) -> Int32:
@@ -47,6 +47,36 @@ def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: 
     if has_flat.any():
         _number_flats(bits, root, key, first, second, has_flat, flat)
     return flat
+
+
+def ways_to_flats(height: Float32, direction: UInt8, basin: Int32, root: Int64, flat: Int32) -> UInt8:
+    """Directions of steepest descent that end where a flat minimum is reached, uint8; the same array without any.
+
+    A label that marks a flat minimum alone is that of its feet, and where several do each of its voxels is marked: so
+    for a voxel's label nothing has to be looked for inside.
+
+    Parameters
+    ----------
+    height, direction, basin
+        The landscape, and direction and basin of each voxel, shape [z, y, x].
+    root, flat
+        Flat index of each basin's lowest voxel, and number of the flat minimum there: see :func:`flat_minima`.
+    """
+    if not (flat >= 0).any():
+        return direction
+    ways = direction.copy()
+    bits = height.view(np.int32).ravel()
+    level = np.where(flat >= 0, bits[root], np.int32(-1))
+    _end_in_flats(row_chunks(height.shape) * height.shape[2], bits, basin.ravel(), level, ways.reshape(-1))
+    return ways
+
+
+@loop_kernel
+def _end_in_flats(chunks, bits, basin, level, ways):
+    for c in numba.prange(len(chunks) - 1):
+        for v in range(chunks[c], chunks[c + 1]):
+            if bits[v] == level[basin[v]]:
+                ways[v] = ROOT
 
 
 def divided_anew(

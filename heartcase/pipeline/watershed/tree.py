@@ -25,7 +25,7 @@ from heartcase.pipeline.watershed.descent import (
     side_offsets,
     steepest_descent,
 )
-from heartcase.pipeline.watershed.plateaus import flat_minima
+from heartcase.pipeline.watershed.plateaus import flat_minima, ways_to_flats
 from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
 from heartcase.schemas.errors import StageError
 
@@ -89,6 +89,11 @@ class BasinTree:
     def flat(self) -> Int32:
         """Number of the flat minimum of two voxels or more at each basin's bottom, int32; -1 where there is none."""
         return flat_minima(self.height, self.root, self.key, *self.basins)
+
+    @cached_property
+    def ways(self) -> UInt8:
+        """Direction of steepest descent of each voxel; none where a flat minimum is reached."""
+        return ways_to_flats(self.height, self.direction, self.basin, self.root, self.flat)
 
     @cached_property
     def neighbours(self) -> tuple[Int64, Int32]:
