@@ -18,10 +18,10 @@ from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.boxes import Box, as_box, in_parts, tiles_around, voxels_in, within
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
+from heartcase.pipeline.watershed.division import Division, divided_anew, divided_flats
 from heartcase.pipeline.watershed.hanging import Filling, PartedForest, solve_parted
 from heartcase.pipeline.watershed.incremental import mend, unmark
 from heartcase.pipeline.watershed.marks import (
-    CONTESTED,
     find_lowest_marks,
     is_flat_contested,
     mark_below,
@@ -42,7 +42,6 @@ from heartcase.pipeline.watershed.painting import (
     paint_rows,
     tiles_of,
 )
-from heartcase.pipeline.watershed.plateaus import divide_flat, divided_anew
 from heartcase.pipeline.watershed.sight import Sight, paint_sight
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
 from heartcase.schemas.arrays import Bool, Int16, Int32, Int64, UInt8
@@ -100,6 +99,7 @@ class Forest:
     """By tile: a number that is higher, the later a label that was put off turned out to be another one."""
     put_off_times: int = 0
     """How often labels were put off so far."""
+    _division: Division | None = None
     _is_behind: bool = False
     """Whether labels and levels of feet are of earlier markers: those of now follow from what is parted."""
     _parted: PartedForest | None = None
@@ -118,7 +118,8 @@ class Forest:
         """The same forest, settled, with arrays of its own; both have one tree."""
         self.settle()
         names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
-        return replace(self, **{name: getattr(self, name).copy() for name in names})
+        division = self._division and self._division.copy()
+        return replace(self, _division=division, **{name: getattr(self, name).copy() for name in names})
 
     def paint(self, voxels: Int64, label: int) -> Box | None:
         """Mark voxels with a label, and mend the forest where that changes it.
@@ -164,7 +165,9 @@ class Forest:
         tree = self.tree
         flats = tree.height.view(np.int32).ravel(), tree.basin.ravel(), tree.root, tree.flat, self.flat_label
         if any(is_flat_contested(*flats, voxels, label) for label, voxels in strokes):
-            strokes = divided_anew(tree, self.painted, self.marks, self.flat_label, strokes)
+            if self._division is None:
+                self._division = Division(np.zeros(self.marks.size, np.uint16))
+            strokes = divided_anew(tree, self.painted, self.marks, self.flat_label, strokes, self._division)
         return self._mark(strokes)
 
     def _mark(self, groups: Sequence[tuple[int, Int64]]) -> Box | None:
@@ -225,8 +228,8 @@ class Forest:
         np.copyto(self.marks, self.painted)
         voxels = marked_voxels(self.marks)
         note_flats(bits, basin, tree.root, tree.flat, self.marks.ravel(), voxels, self.flat_label)
-        if (self.flat_label == CONTESTED).any():
-            self._divide_flats(voxels)
+        self._division = divided_flats(tree, self.marks, self.flat_label, voxels)
+        if self._division:
             voxels = marked_voxels(self.marks)
         self.lowest_mark[:] = -1
         find_lowest_marks(bits, basin, voxels, self.lowest_mark)
@@ -389,23 +392,6 @@ class Forest:
             self._feet_now = np.empty(self.tree.basin_count, np.uint8)
             self._solution().fill_labels(self._feet_now)
         return self._feet_now
-
-    def _divide_flats(self, voxels: Int64) -> None:
-        tree = self.tree
-        bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
-        own = basin[voxels]
-        number = np.where(bits[voxels] == bits[tree.root[own]], tree.flat[own], NO_FLAT)
-        for contested in np.flatnonzero(self.flat_label == CONTESTED):
-            divide_flat(
-                bits,
-                basin,
-                tree.flat,
-                self.marks.shape,
-                side_offsets(self.marks.shape),
-                voxels[number == contested],
-                self.marks.reshape(-1),
-                UNMARKED,
-            )
 
     def _paint_basins(self, changed: Int64) -> Box | None:
         tree = self.tree

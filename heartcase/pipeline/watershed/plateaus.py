@@ -1,8 +1,7 @@
-"""Flat minima, and their division where several labels mark one: half way, by steps (a first-in first-out flood)."""
+"""Flat minima: sets of voxels of one height that hang together and have no lower neighbour."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numba
@@ -10,16 +9,14 @@ import numpy as np
 
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel, loop_kernel
-from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.descent import ROOT, row_chunks, side_offsets
-from heartcase.pipeline.watershed.marks import CONTESTED
-from heartcase.schemas.arrays import Float32, Int16, Int32, Int64, UInt8
+from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
 
 if TYPE_CHECKING:
-    from heartcase.pipeline.watershed.tree import BasinTree
+    pass
 
-__all__ = ["divide_flat", "divided_anew", "flat_minima", "ways_to_flats"]
+__all__ = ["flat_minima", "ways_to_flats"]
 
 
 def flat_minima(height: Float32, root: Int64, key: Int64, first: Int32, second: Int32) -> Int32:
@@ -77,124 +74,6 @@ def _end_in_flats(chunks, bits, basin, level, ways):
         for v in range(chunks[c], chunks[c + 1]):
             if bits[v] == level[basin[v]]:
                 ways[v] = ROOT
-
-
-def divided_anew(
-    tree: BasinTree, painted: UInt8, marks: UInt8, flat_label: Int16, strokes: Sequence[tuple[int, Int64]]
-) -> list[tuple[int, Int64]]:
-    """Voxels whose marks change with strokes that lie in contested flat minima, by their label: first 255, none.
-
-    Parameters
-    ----------
-    tree
-        The tree of the landscape.
-    painted
-        Label of each painted voxel, the strokes' among them; 255 elsewhere.
-    marks
-        The same from before the strokes, with contested flat minima divided; it is so again afterwards.
-    flat_label
-        Label that marks each flat minimum: -1 none, -2 several; made to fit the strokes.
-    strokes
-        Label, 255 for none, and flat indices of the voxels that have it now.
-    """
-    marked, seeded, shape = marks.reshape(-1), painted.reshape(-1), painted.shape
-    bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
-    voxels = np.concatenate([one for _, one in strokes])
-    own = basin[voxels]
-    is_inside = (tree.flat[own] >= 0) & (bits[voxels] == bits[tree.root[own]])
-    changed, values = [voxels[~is_inside]], [seeded[voxels[~is_inside]]]
-    for number in np.unique(tree.flat[own[is_inside]]).tolist():
-        inside = _voxels_of_flat(np.flatnonzero(tree.flat == number), *tree.voxels, bits, tree.root)
-        before = marked[inside]
-        marked[inside] = seeded[inside]
-        seeds = inside[seeded[inside] != UNMARKED]
-        labels = np.unique(seeded[seeds])
-        flat_label[number] = CONTESTED if len(labels) > 1 else [-1, *labels.tolist()][-1]
-        if len(labels) > 1:
-            divide_flat(bits, basin, tree.flat, shape, side_offsets(shape), seeds, marked, UNMARKED)
-        after = marked[inside]
-        marked[inside] = before
-        changed.append(inside[after != before])
-        values.append(after[after != before])
-    everywhere, value = np.concatenate(changed), np.concatenate(values)
-    return [(one, everywhere[value == one]) for one in sorted({*value.tolist()}, reverse=True)]
-
-
-@kernel
-def divide_flat(bits, basin, flat, shape, offsets, voxels, marks, unmarked):
-    """Divide a flat minimum among its marked voxels, in place: each voxel goes to the marked one with fewest steps.
-
-    Parameters
-    ----------
-    bits, basin, marks
-        Heights as bits, basins and labels of all voxels, one-dimensional; ``marks`` is painted on.
-    flat
-        Number of the flat minimum at each basin's bottom.
-    shape, offsets
-        Of the volume: (z, y, x), and from :func:`heartcase.pipeline.watershed.descent.side_offsets`.
-    voxels
-        Flat indices of the marked voxels of the flat, ascending.
-    unmarked
-        Value in ``marks`` of what is not marked.
-    """
-    nz, ny, nx = shape
-    shore = voxels
-    level = bits[shore[0]]
-    number = flat[basin[shore[0]]]
-    while len(shore) > 0:
-        reached = np.empty(6 * len(shore), np.int64)
-        count = 0
-        # in ascending order, so that of neighbours equally near the one with the lowest index gives its label
-        for v in shore:
-            i = v % nx
-            j = v // nx % ny
-            k = v // (nx * ny)
-            for side in range(7):
-                if (
-                    side == 3
-                    or (side == 0 and k == 0)
-                    or (side == 1 and j == 0)
-                    or (side == 2 and i == 0)
-                    or (side == 4 and i == nx - 1)
-                    or (side == 5 and j == ny - 1)
-                    or (side == 6 and k == nz - 1)
-                ):
-                    continue
-                u = v + offsets[side]
-                if marks[u] == unmarked and bits[u] == level and flat[basin[u]] == number:
-                    marks[u] = marks[v]
-                    reached[count] = u
-                    count += 1
-        shore = np.sort(reached[:count])
-
-
-@kernel
-def _voxels_of_flat(basins, first_voxel, voxel_list, bits, root):
-    """Flat indices of the voxels of a flat minimum, ascending: those at the bottom of its basins.
-
-    Parameters
-    ----------
-    basins
-        Numbers of its basins.
-    first_voxel, voxel_list
-        The voxels of each basin.
-    bits
-        Heights as bits, one-dimensional.
-    root
-        Flat index of each basin's lowest voxel.
-    """
-    count = 0
-    for b in basins:
-        count += first_voxel[b + 1] - first_voxel[b]
-    found = np.empty(count, np.int64)
-    count = 0
-    for b in basins:
-        level = bits[root[b]]
-        for n in range(first_voxel[b], first_voxel[b + 1]):
-            if bits[voxel_list[n]] == level:
-                found[count] = voxel_list[n]
-                count += 1
-    return np.sort(found[:count])
 
 
 @loop_kernel

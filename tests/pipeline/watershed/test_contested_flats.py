@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.pipeline.data import UNMARKED
+from heartcase.pipeline.watershed import division
 from heartcase.pipeline.watershed import forest as module
-from heartcase.pipeline.watershed import plateaus
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from tests.pipeline.watershed.test_forest import shapes
@@ -67,7 +67,7 @@ def test_a_stroke_in_a_flat_that_two_labels_share_divides_it_alone():
     for voxel, label in ((0, 1), (19, 3), (9, 2)):
         forest.paint(np.array([voxel]), label)
     assert forest.labels.ravel().tolist() == [1] * 5 + [2] * 5 + [2] + [3] * 9
-    with patch.object(module, "divided_anew", wraps=plateaus.divided_anew) as divided:
+    with patch.object(module, "divided_anew", wraps=division.divided_anew) as divided:
         forest.paint(np.array([4]), 2)
         assert forest.labels.ravel().tolist() == [1] * 3 + [2] * 7 + [2] + [3] * 9
         forest.paint(np.array([4]), UNMARKED)
