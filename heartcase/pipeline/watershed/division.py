@@ -16,7 +16,6 @@ import numpy as np
 from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.marks import CONTESTED
 from heartcase.schemas.arrays import Int16, Int64, UInt8, UInt16
 
@@ -142,9 +141,7 @@ def _mended(
     counts += np.bincount(now[now != UNMARKED], minlength=256)
     if np.count_nonzero(counts) < 2:
         return None
-    bits, basin, shape = tree.height.view(np.int32).ravel(), tree.basin.ravel(), tree.height.shape
-    place = (bits, basin, tree.flat, shape, side_offsets(shape))
-    changed, values, is_known = _mend_flat(*place, voxels, painted, marks, division.step)
+    changed, values, is_known = _mend_flat(tree.height.shape, voxels, painted, marks, division.step)
     if not is_known:
         return None
     division.counts[number] = counts
@@ -159,7 +156,7 @@ def _anew(
     inside = _voxels_of_flat(np.flatnonzero(tree.flat == number), *tree.voxels, bits, tree.root)
     before = marks[inside]
     marks[inside] = painted[inside]
-    seeds = inside[painted[inside] != UNMARKED]
+    seeds = np.sort(inside[painted[inside] != UNMARKED])
     labels = np.unique(painted[seeds])
     flat_label[number] = CONTESTED if len(labels) > 1 else [-1, *labels.tolist()][-1]
     if len(labels) > 1:
@@ -171,56 +168,58 @@ def _anew(
 
 def _divide(tree: BasinTree, number: int, seeds: Int64, marks: UInt8, division: Division) -> None:
     """Divide one flat among its marked voxels, ascending flat indices; ``marks`` holds no others in it."""
-    bits, basin, shape = tree.height.view(np.int32).ravel(), tree.basin.ravel(), tree.height.shape
-    counts = np.bincount(marks[seeds], minlength=256)
-    if _divide_flat(bits, basin, tree.flat, shape, side_offsets(shape), seeds, marks, division.step):
+    bits, counts = tree.height.view(np.int32).ravel(), np.bincount(marks[seeds], minlength=256)
+    if _divide_flat(bits, tree.height.shape, seeds, marks, division.step):
         division.counts[number] = counts
 
 
 @copied
-def _near(v, level, number, bits, basin, flat, shape, offsets, found):
-    """Neighbours of a voxel in its flat, by ascending index, into ``found``; how many there are."""
+def _near(v, per_slice, per_row, shape, found):
+    """Neighbours of a voxel in the volume, by ascending index, into ``found``; how many there are."""
     nz, ny, nx = shape
-    i = v % nx
-    j = v // nx % ny
-    k = v // (nx * ny)
+    # exact for any index below 2^29, and much quicker than a division of integers
+    k = np.int64((v + 0.5) * per_slice)
+    rest = v - k * (nx * ny)
+    j = np.int64((rest + 0.5) * per_row)
+    i = rest - j * nx
     count = 0
-    for side in range(7):
-        if (
-            side == 3
-            or (side == 0 and k == 0)
-            or (side == 1 and j == 0)
-            or (side == 2 and i == 0)
-            or (side == 4 and i == nx - 1)
-            or (side == 5 and j == ny - 1)
-            or (side == 6 and k == nz - 1)
-        ):
-            continue
-        u = v + offsets[side]
-        if bits[u] == level and flat[basin[u]] == number:
-            found[count] = u
-            count += 1
+    if k > 0:
+        found[count] = v - nx * ny
+        count += 1
+    if j > 0:
+        found[count] = v - nx
+        count += 1
+    if i > 0:
+        found[count] = v - 1
+        count += 1
+    if i < nx - 1:
+        found[count] = v + 1
+        count += 1
+    if j < ny - 1:
+        found[count] = v + nx
+        count += 1
+    if k < nz - 1:
+        found[count] = v + nx * ny
+        count += 1
     return count
 
 
 @kernel
-def _divide_flat(bits, basin, flat, shape, offsets, voxels, marks, step):
+def _divide_flat(bits, shape, voxels, marks, step):
     """Divide a flat minimum among its marked voxels, in place; whether the steps of all its voxels could be noted.
 
     Parameters
     ----------
-    bits, basin, marks, step
-        Heights as bits, basins, labels and steps of all voxels, one-dimensional; the last two are written to.
-    flat
-        Number of the flat minimum at each basin's bottom.
-    shape, offsets
-        Of the volume: (z, y, x), and from :func:`heartcase.pipeline.watershed.descent.side_offsets`.
+    bits, marks, step
+        Heights as bits, labels and steps of all voxels, one-dimensional; the last two are written to.
+    shape
+        Of the volume: (z, y, x).
     voxels
         Flat indices of the marked voxels of the flat, ascending.
     """
+    per_slice, per_row = 1.0 / (shape[1] * shape[2]), 1.0 / shape[2]
     shore = voxels
     level = bits[shore[0]]
-    number = flat[basin[shore[0]]]
     near = np.empty(6, np.int64)
     step[shore] = np.uint16(1)
     now = 1
@@ -230,9 +229,10 @@ def _divide_flat(bits, basin, flat, shape, offsets, voxels, marks, step):
         count = 0
         # in ascending order, so that of neighbours equally near the one with the lowest index gives its label
         for v in shore:
-            for n in range(_near(v, level, number, bits, basin, flat, shape, offsets, near)):
+            for n in range(_near(v, per_slice, per_row, shape, near)):
                 u = near[n]
-                if marks[u] == UNMARKED:
+                # a neighbour as high is of the same flat
+                if bits[u] == level and marks[u] == UNMARKED:
                     marks[u] = marks[v]
                     step[u] = np.uint16(min(now, MOST_STEPS))
                     reached[count] = u
@@ -242,13 +242,15 @@ def _divide_flat(bits, basin, flat, shape, offsets, voxels, marks, step):
 
 
 @kernel
-def _mend_flat(bits, basin, flat, shape, offsets, voxels, painted, marks, step):
+def _mend_flat(shape, voxels, painted, marks, step):
     """Voxels of a divided flat whose labels change, the labels, and whether the steps are those of now.
+
+    No two flat minima lie side by side: so a neighbour with a step is of the same one.
 
     Parameters
     ----------
-    bits, basin, flat, shape, offsets
-        As for :func:`_divide_flat`.
+    shape
+        Of the volume: (z, y, x).
     voxels
         Flat indices of the voxels that were painted or erased.
     painted
@@ -256,8 +258,7 @@ def _mend_flat(bits, basin, flat, shape, offsets, voxels, painted, marks, step):
     marks, step
         Labels and steps from before; the steps become those of now, the labels stay.
     """
-    level = bits[voxels[0]]
-    number = flat[basin[voxels[0]]]
+    per_slice, per_row = 1.0 / (shape[1] * shape[2]), 1.0 / shape[2]
     near, beyond = np.empty(6, np.int64), np.empty(6, np.int64)
     # what may get another label: voxels, and their steps
     waiting = [np.int64(0) for _ in range(0)]
@@ -277,12 +278,12 @@ def _mend_flat(bits, basin, flat, shape, offsets, voxels, painted, marks, step):
         further = [np.int64(0) for _ in range(0)]
         for v in shore:
             gone.append(v)
-            for n in range(_near(v, level, number, bits, basin, flat, shape, offsets, near)):
+            for n in range(_near(v, per_slice, per_row, shape, near)):
                 u = near[n]
                 if step[u] != now + 1:
                     continue
                 is_led_to = False
-                for m in range(_near(u, level, number, bits, basin, flat, shape, offsets, beyond)):
+                for m in range(_near(u, per_slice, per_row, shape, beyond)):
                     is_led_to = is_led_to or step[beyond[m]] == now
                 if is_led_to:
                     waiting.append(u)
@@ -294,8 +295,8 @@ def _mend_flat(bits, basin, flat, shape, offsets, voxels, painted, marks, step):
         now += 1
     for v in gone:
         nearest = np.int64(FAR)
-        for n in range(_near(v, level, number, bits, basin, flat, shape, offsets, near)):
-            if step[near[n]] < nearest:
+        for n in range(_near(v, per_slice, per_row, shape, near)):
+            if 0 < step[near[n]] < nearest:
                 nearest = np.int64(step[near[n]])
         if nearest < FAR:
             waiting.append(v)
@@ -323,7 +324,7 @@ def _mend_flat(bits, basin, flat, shape, offsets, voxels, painted, marks, step):
         next_new = [False for _ in range(0)]
         for one in range(len(layer)):
             v = layer[one]
-            count = _near(v, level, number, bits, basin, flat, shape, offsets, near)
+            count = _near(v, per_slice, per_row, shape, near)
             label = painted[v]
             if now > 1:
                 for n in range(count):
@@ -358,7 +359,7 @@ def _mend_flat(bits, basin, flat, shape, offsets, voxels, painted, marks, step):
 
 @kernel
 def _voxels_of_flat(basins, first_voxel, voxel_list, bits, root):
-    """Flat indices of the voxels of a flat minimum, ascending: those at the bottom of its basins.
+    """Flat indices of the voxels of a flat minimum: those at the bottom of its basins.
 
     Parameters
     ----------
@@ -382,4 +383,4 @@ def _voxels_of_flat(basins, first_voxel, voxel_list, bits, root):
             if bits[voxel_list[n]] == level:
                 found[count] = voxel_list[n]
                 count += 1
-    return np.sort(found[:count])
+    return found[:count]
