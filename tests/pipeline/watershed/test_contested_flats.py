@@ -14,6 +14,17 @@ from heartcase.pipeline.watershed.tree import build_basin_tree
 from tests.pipeline.watershed.test_forest import shapes
 
 
+def has_same_division(mended, anew):
+    """Steps and counts of what is known to be divided are those of a fresh solution."""
+    tree = mended.tree
+    bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
+    for number, counts in (mended._division.counts if mended._division else {}).items():
+        np.testing.assert_array_equal(counts, anew._division.counts[number])
+        inside = (tree.flat[basin] == number) & (bits == bits[tree.root[number]])
+        np.testing.assert_array_equal(mended._division.step[inside], anew._division.step[inside])
+        assert (mended._division.step[inside] > 0).all()
+
+
 @settings(max_examples=150, deadline=None)
 @given(
     shape=shapes,
@@ -58,6 +69,7 @@ def test_a_mended_forest_is_the_one_that_is_solved_anew(shape, level_count, seed
             np.testing.assert_array_equal(mended.labels, anew.labels)
             np.testing.assert_array_equal(mended.marks, anew.marks)
             np.testing.assert_array_equal(mended.lowest_mark, anew.lowest_mark)
+            has_same_division(mended, anew)
 
 
 def test_a_stroke_in_a_flat_that_two_labels_share_divides_it_alone():
@@ -74,3 +86,64 @@ def test_a_stroke_in_a_flat_that_two_labels_share_divides_it_alone():
         assert forest.labels.ravel().tolist() == [1] * 5 + [2] * 5 + [2] + [3] * 9
         forest.paint(np.array([15]), 3)
         assert divided.call_count == 2
+
+
+def test_a_copy_is_painted_on_alone():
+    rng = np.random.default_rng(3)
+    height = np.maximum(rng.random((6, 7, 8)), 0.7).astype(np.float32)
+    painted = np.full(height.shape, UNMARKED, np.uint8)
+    painted.flat[rng.choice(painted.size, 6, replace=False)] = [0, 1, 2] * 2
+    forest = solve_forest(build_basin_tree(height), painted)
+    assert forest._division.counts
+    before = {name: getattr(forest, name).copy() for name in ("labels", "marks", "painted", "flat_label")}
+    step, counts = forest._division.step.copy(), dict(forest._division.counts)
+    copy = forest.copy()
+    for label in (5, 1, UNMARKED):
+        copy.paint(rng.choice(painted.size, 9, replace=False), label)
+    assert (copy.labels != forest.labels).any()
+    for name, values in before.items():
+        np.testing.assert_array_equal(getattr(forest, name), values)
+    np.testing.assert_array_equal(forest._division.step, step)
+    assert forest._division.counts.keys() == counts.keys()
+    for number, values in counts.items():
+        np.testing.assert_array_equal(forest._division.counts[number], values)
+
+
+def test_a_flat_with_more_steps_than_can_be_noted_is_divided_anew():
+    shape = (1, 1, 70_000)
+    tree = build_basin_tree(np.full(shape, 1.0, np.float32))
+    painted = np.full(shape, UNMARKED, np.uint8)
+    painted[0, 0, :2] = 1, 2
+    forest = solve_forest(tree, painted)
+    assert not forest._division.counts
+    # with a third label far away all steps can be noted, and without it they cannot any more
+    for voxel, label, is_known in (
+        (69_000, 3, True),
+        (68_000, 1, True),
+        (68_000, UNMARKED, True),
+        (69_000, UNMARKED, False),
+    ):
+        forest.paint(np.array([voxel]), label)
+        painted[0, 0, voxel] = label
+        anew = solve_forest(tree, painted)
+        np.testing.assert_array_equal(forest.labels, anew.labels)
+        np.testing.assert_array_equal(forest.marks, anew.marks)
+        assert bool(forest._division.counts) is is_known
+        has_same_division(forest, anew)
+
+
+def test_a_stroke_through_a_flat_of_one_label_leaves_it_whole():
+    # a contested flat of 9 voxels and one of a single label, with a wall between them
+    height = np.full((1, 1, 19), 1.0, np.float32)
+    height[0, 0, 9] = 2.0
+    painted = np.full(height.shape, UNMARKED, np.uint8)
+    painted[0, 0, [0, 8, 18]] = 1, 2, 3
+    tree = build_basin_tree(height)
+    forest = solve_forest(tree, painted)
+    with patch.object(division, "_anew", wraps=division._anew) as anew:
+        for voxels, label in (([7, 12], 3), ([12, 18], UNMARKED), ([4, 11], 2)):
+            forest.paint(np.array(voxels), label)
+            painted[0, 0, voxels] = label
+            np.testing.assert_array_equal(forest.labels, solve_forest(tree, painted).labels)
+        # the flat that label 3 had is another label's at last: nobody is sure that it was its alone
+        assert [call.args[1] for call in anew.call_args_list] == [forest.tree.flat[tree.basin[0, 0, 11]]]
