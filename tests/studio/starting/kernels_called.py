@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.simulator.haptics.loop import LoopNumbers
 from tests.pipeline.building.kernels_called import CalledKernels
 from tests.simulator.live.scenes import write_case
@@ -28,7 +29,13 @@ def paint(folder: Path) -> None:
 
 
 def _paint(path: Path, middle: list[float]) -> None:
+    corner = load_recipe(path).strokes[0].points_mm[0]
     with studio(path) as browser, page(browser) as talker:
+        # beside the background that is marked there: the second of the strokes finds a flat that two labels share
+        for share in (0.2, 0.4):
+            way = [(1.0 - share) * a + share * b for a, b in zip(corner, middle, strict=True)]
+            talker.ask(do="paint", label="aorta", radius_mm=0.0, points_mm=[way])
+            talker.ask(do="end")
         for label, way in (("aorta", 2.0), ("left ventricle", -2.0), ("background", 4.0)):
             talker.ask(do="paint", label=label, radius_mm=1.0, points_mm=[middle])
             talker.ask(do="extend", points_mm=[[middle[0] + way, *middle[1:]]])
