@@ -14,7 +14,7 @@ watershed of the gradient alone: chambers are mostly divided better, the myocard
 
 In a CT blood is so smooth that even this leaves the label that first finds a way through a valve the whole next
 chamber. So nothing is lower than a *noise floor*, 3.5 times that percentile: what lies below is flat, and labels that
-mark one flat meet half way (:mod:`heartcase.pipeline.watershed.plateaus`). In MR the border of a vena cava with its
+mark one flat meet half way (:mod:`heartcase.pipeline.watershed.division`). In MR the border of a vena cava with its
 atrium would be half way too, and there the scan knows better: no floor (``heartcase bench accuracy-default``). Blur,
 share and floor were chosen on phantoms, so those are no independent test of them.
 """

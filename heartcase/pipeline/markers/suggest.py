@@ -30,7 +30,7 @@ from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.pipeline.watershed.marks import mark_below
 from heartcase.pipeline.watershed.subtrees import ForestPieces, forest_pieces
-from heartcase.schemas.arrays import Bool, Float64, Int64
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
@@ -188,6 +188,7 @@ class _Choice:
         self._changed: dict[int, Int64] = {}
         self._changed_before = np.zeros(0, np.bool_)
         self._copy: Forest | None = None
+        self._taken_mm: list[tuple[float, float, float]] = []
 
     def best(self) -> _Best | None:
         """The candidate that is worth most, what is changed in flats tried; None where there is none."""
@@ -207,18 +208,20 @@ class _Choice:
         forest, number, basin_count = self._forest, best.number, len(self._found.basin)
         heapq.heappop(self._queue)
         self._is_open &= ((self._place_mm - self._place_mm[number]) ** 2).sum(axis=1) >= self._apart_mm**2
-        x, y, z = self._place_mm[number].tolist()
         if number >= basin_count:
             flats, n, changed = self._flats, number - basin_count, self._changed[number]
             self._taken[self._pieces_of(changed)] = True
             self._note(changed)
+            x, y, z = self._place_mm[number].tolist()
+            self._taken_mm.append((x, y, z))
+            depth_mm = _depths_mm(forest.labels.shape, changed, self._geometry)
             return StrokePlace(
                 (x, y, z),
                 int(flats.label[n]),
                 int(flats.rival[n]),
                 len(changed) * self._geometry.voxel_volume_mm3 / 1000.0,
                 float(flats.certainty[n]),
-                _depth_mm(forest.labels.shape, changed, int(flats.voxel[n]), self._geometry),
+                float(depth_mm[np.searchsorted(changed, flats.voxel[n])]),
                 best.worth,
             )
         feet, basin = self._feet, int(self._found.basin[number])
@@ -226,18 +229,45 @@ class _Choice:
         self._taken |= would
         taken = would[self._pieces.piece]
         self._close(taken)
-        changed = _foot_voxels(forest, np.flatnonzero(taken))
+        changed = np.sort(_foot_voxels(forest, np.flatnonzero(taken)))
         if len(self._flats.voxel):
             self._note(changed)
+        voxel, radius_mm = self._deepest(basin, changed)
+        one = np.array([voxel])
+        worth, (x, y, z) = best.worth, positions_mm(one, self._geometry)[0].tolist()
+        if voxel != forest.tree.root[basin]:
+            labels = forest.foot_label[[basin]], feet.rival[[basin]]
+            doubt = (1.0 - float(feet.certainty[basin])) ** DOUBT_POWER
+            near_rival = float(nearness(one, *labels, forest.painted, self._geometry)[0][0])
+            worth = min(float(self._found.ml[number]), LARGE_ML) * doubt * near_rival**DISTANCE_POWER
+            self._is_open &= ((self._place_mm - (x, y, z)) ** 2).sum(axis=1) >= self._apart_mm**2
+        self._taken_mm.append((x, y, z))
         return StrokePlace(
             (x, y, z),
             int(forest.foot_label[basin]),
             int(feet.rival[basin]),
             float(self._found.ml[number]),
             float(feet.certainty[basin]),
-            _depth_mm(forest.labels.shape, changed, int(forest.tree.root[basin]), self._geometry),
-            best.worth,
+            radius_mm,
+            worth,
         )
+
+    def _deepest(self, basin: int, changed: Int64) -> tuple[int, float]:
+        """Of a basin's lowest voxels the one deepest in what changes, away from other places; and how deep, mm."""
+        tree = self._forest.tree
+        root, shape = int(tree.root[basin]), self._forest.labels.shape
+        depth_mm = _depths_mm(shape, changed, self._geometry)
+        if tree.flat[basin] < 0:
+            return root, float(depth_mm[np.searchsorted(changed, root)])
+        bits, basins = tree.height.view(np.int32).ravel(), tree.basin.ravel()[changed]
+        is_choice = (tree.flat[basins] == tree.flat[basin]) & (bits[changed] == bits[root])
+        place_mm = positions_mm(changed[is_choice], self._geometry)
+        is_away = np.ones(len(place_mm), np.bool_)
+        for taken_mm in self._taken_mm:
+            is_away &= ((place_mm - taken_mm) ** 2).sum(axis=1) >= self._apart_mm**2
+        is_choice[is_choice] = is_away | (changed[is_choice] == root)
+        best = int(np.flatnonzero(is_choice)[np.argmax(depth_mm[is_choice])])
+        return int(changed[best]), float(depth_mm[best])
 
     def _meets_taken(self, number: int) -> bool:
         """Whether a candidate changes what a place that was taken changes."""
@@ -312,13 +342,13 @@ def _are_right(
 ) -> Bool:
     """Which basins somebody found right."""
     found = np.zeros(len(basin), np.bool_)
-    shape = forest.labels.shape
     for one in right:
         index = _index_of(forest, one, geometry)
         if index is None:
             continue
-        same = pieces.piece[basin[forest.tree.root[basin] == np.ravel_multi_index(index, shape)]]
-        found |= np.isin(pieces.piece[basin], same)
+        at = int(forest.tree.basin[index])
+        if forest.tree.height[index] == forest.tree.height.flat[forest.tree.root[at]]:
+            found |= pieces.piece[basin] == pieces.piece[at]
         near = ((root_mm - one.position_mm) ** 2).sum(axis=1) < apart_mm**2
         found |= near & (forest.foot_label[basin] == one.label) & (feet.rival[basin] == one.rival)
     return found
@@ -338,8 +368,8 @@ def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geome
     return _Candidates(basin, ml[basin], worth)
 
 
-def _depth_mm(shape: tuple[int, ...], voxels: Int64, voxel: int, geometry: Geometry) -> float:
-    """Distance of one of some voxels, flat indices, from the nearest voxel that is none of them, mm."""
+def _depths_mm(shape: tuple[int, ...], voxels: Int64, geometry: Geometry) -> Float32:
+    """Distance of each of some voxels, flat indices, from the nearest voxel that is none of them, mm."""
     index = np.stack(np.unravel_index(voxels, shape))
     # one voxel around, but none outside the volume: its border is no border of what changes
     low = np.maximum(index.min(axis=1) - 1, 0)
@@ -347,9 +377,10 @@ def _depth_mm(shape: tuple[int, ...], voxels: Int64, voxel: int, geometry: Geome
     inside = np.zeros(high - low, np.bool_)
     inside[tuple(index - low[:, None])] = True
     if inside.all():
-        return float(np.linalg.norm(np.array(geometry.spacing_mm) * geometry.size))
-    depth = edt.edt(inside, anisotropy=geometry.spacing_mm[::-1], black_border=False)
-    return float(depth[tuple(np.array(np.unravel_index(voxel, shape)) - low)])
+        return np.full(len(voxels), np.linalg.norm(np.array(geometry.spacing_mm) * geometry.size), np.float32)
+    depth: Float32 = edt.edt(inside, anisotropy=geometry.spacing_mm[::-1], black_border=False)
+    of_each: Float32 = depth[tuple(index - low[:, None])]
+    return of_each
 
 
 def _foot_voxels(forest: Forest, basins: Int64) -> Int64:

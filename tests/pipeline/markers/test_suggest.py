@@ -56,6 +56,30 @@ def test_a_plain_with_one_doubtful_lake_is_told_as_it_is():
     assert found.rest_ml == 0.0
 
 
+def test_in_a_flat_lake_the_place_is_where_the_widest_brush_stays_inside():
+    shape = (11, 13, 30)
+    height = np.full(shape, 3.0, np.float32)
+    height[:, :, 12] = 6.0
+    height[:, :, 20] = 8.0
+    height[2:9, 3:10, 14:19] = 0.5
+    height[5, 7, 3] = height[5, 7, 26] = 0.25
+    geometry = oblique(shape, (1.0, 1.0, 1.0))
+    forest = solve_forest(build_basin_tree(height), marked(shape, label1=(5, 7, 3), label2=(5, 7, 26)))
+    (place,) = suggest_strokes(forest, geometry, count=3).places
+    changed = np.zeros(shape, bool)
+    changed[:, :, 13:21] = True
+    depth = ndimage.distance_transform_edt(np.pad(changed, 1, mode="edge"))[1:-1, 1:-1, 1:-1]
+    lake = height == 0.5
+    assert place.change_ml == pytest.approx(changed.sum() / 1000.0)
+    assert place.radius_mm == depth[lake].max() == 4.0
+    index = tuple(np.rint(geometry.world_to_index(np.array(place.position_mm))).astype(int)[::-1])
+    # of equally deep ones the first
+    assert index == tuple(np.argwhere(lake & (depth == 4.0))[0])
+    # found right, it is not named again, though it is not the lowest voxel of its basin
+    right = RightPlace(place.position_mm, place.label, place.rival)
+    assert suggest_strokes(forest, geometry, count=3, right=[right]).places == ()
+
+
 def test_a_place_that_was_found_right_is_not_named_again_while_it_has_its_label():
     shape = (20, 24, 28)
     markers = np.full(shape, UNMARKED, np.uint8)
@@ -167,6 +191,10 @@ def test_a_doubtful_lake_in_the_background_is_named_only_near_the_heart():
     assert found.rest_ml == 0.0
 
 
+def touches_face(mask):
+    return any(np.take(mask, side, axis).any() for axis in range(3) for side in (0, -1))
+
+
 def over_a_floor(seed, shape, quantile=0.45):
     """A rough landscape with a floor under it: flat minima of many voxels."""
     height = rough(seed, shape)
@@ -207,6 +235,9 @@ def test_over_a_floor_too_a_stroke_changes_the_volume_that_was_said(seed):
                     wider = changed
                 else:
                     assert ml == pytest.approx(place.change_ml, abs=1e-9)
+        depth = ndimage.distance_transform_edt(np.pad(changed, 1, mode="edge"), (2.5, 2.0, 1.5))[1:-1, 1:-1, 1:-1]
+        if not changed.all() and not touches_face(changed):
+            assert place.radius_mm == pytest.approx(depth[index], rel=1e-5)
         if is_in_flat:
             # the wider dab stayed inside what one of a voxel changes
             assert changed.flat[
