@@ -130,6 +130,29 @@ def test_the_recipe_s_kind_of_scan_decides_on_the_filter(work):
     assert np.abs(found[0] - found[2]).max() > 0.0
 
 
+def test_the_recipe_s_kind_of_scan_decides_on_the_landscape(work, capsys):
+    """Of a stage's output, too; where nobody says it, that is told."""
+    recipe = work / "ct.toml"
+    recipe.write_text((work / "ball.toml").read_text().replace('modality = "MR"', 'modality = "CT"', 1))
+    bare = work / "bare.toml"
+    bare.write_text((work / "ball.toml").read_text().replace('modality = "MR"\n', "", 1))
+    assert run("filter", work / "scan.nii.gz", work / "nobody.safetensors") == 0
+    assert "stated neither by the scan" in capsys.readouterr().err
+    stated = {}
+    for name, scan, options in (
+        ("ct", "nobody.safetensors", ("--recipe", recipe)),
+        ("image", "scan.nii.gz", ("--recipe", recipe)),
+        ("bare", "nobody.safetensors", ("--recipe", bare)),
+        ("set", "nobody.safetensors", ("--recipe", bare, "--set", "noise_floor=1", "--set", "shape_sigma_mm=1")),
+    ):
+        assert run("segment", work / scan, work / f"{name}.safetensors", *options) == 0
+        told = capsys.readouterr()
+        assert ("stated neither by the scan" in told.out + told.err) == (name == "bare")
+        (record,) = (one for one in load_history(work / f"{name}.safetensors").stages if one.stage == "segment")
+        stated[name] = (record.settings["noise_floor"], record.settings["shape_sigma_mm"])
+    assert stated == {"ct": (3.5, 2.0), "image": (3.5, 2.0), "bare": (0.0, 3.0), "set": (1.0, 1.0)}
+
+
 def test_images_in_and_out(work, capsys):
     assert run("filter", work / "scan.nii.gz", work / "filtered.nrrd", "--set", "iterations=2") == 0
     recipe = work / "ball.toml"

@@ -23,12 +23,14 @@ __all__ = ["command"]
 def command(scan: Path, output: Path, choice: dict[str, Any], recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Smooth SCAN by anisotropic diffusion and write OUTPUT (.nii.gz, .nrrd, .mha or .safetensors)."""
     from heartcase.pipeline.image.filter_scan import resolve_filter
+    from heartcase.pipeline.stages.read import modality_warnings
     from heartcase.pipeline.stages.stage import have
 
     work = stage_run(recipe, sets, stage="filter")
     volume = work.take_scan(scan, choice)
+    of_modality = modality_warnings(volume) if work.recipe.filter.method is None else ()
     settings = resolve_filter(work.recipe.filter, volume)
     work.recipe = work.recipe.model_copy(update={"filter": settings})
     work.run("filter")
     save_output(output, have(work.outputs.filtered).get(), work.finished_history())
-    echo_warnings(volume.warnings, err=True)
+    echo_warnings((*volume.warnings, *of_modality), err=True)

@@ -67,6 +67,7 @@ class StageRun:
         """The scan's region of interest, read or from a stage's output; what is read is the build's first stage."""
         from heartcase.pipeline.data import Scan
         from heartcase.pipeline.image.region import crop_scan
+        from heartcase.pipeline.stages.read import with_modality
         from heartcase.pipeline.stages.stage import have
 
         if path.suffix == ".safetensors":
@@ -77,7 +78,7 @@ class StageRun:
                     place="SCAN",
                 )
             given = self.take({"SCAN": (path, Scan)})[0]
-            scan = crop_scan(given, self.recipe.region)
+            scan = crop_scan(with_modality(given, self.recipe), self.recipe.region)
             self.outputs.scan, self.outputs.whole = node_of(scan), self.history.whole
             return scan
         source = self.recipe.scan.model_copy(update={"path": str(path.absolute()), "phantom": None} | choice)

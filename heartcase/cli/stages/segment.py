@@ -39,6 +39,7 @@ def command(
     from heartcase.pipeline.bundle.assembly import told_of_outlines
     from heartcase.pipeline.image.landscape import resolve_segment
     from heartcase.pipeline.markers.placeholders import placeholder_problems
+    from heartcase.pipeline.stages.read import modality_warnings
     from heartcase.pipeline.stages.stage import have
     from heartcase.pipeline.warnings import worst_first
     from heartcase.schemas.errors import RecipeError
@@ -47,7 +48,9 @@ def command(
     work = stage_run(recipe, sets, stage="segment")
     volume = work.take_scan(scan, choice)
     files = [MarkerFile(path=str(path.resolve())) for path in markers]
-    settings = resolve_segment(work.recipe.segment, volume.modality)
+    given = work.recipe.segment
+    is_left_open = given.method == "watershed" and None in (given.shape_sigma_mm, given.noise_floor)
+    settings = resolve_segment(given, volume.modality)
     work.recipe = work.recipe.model_copy(update={"markers": (*work.recipe.markers, *files), "segment": settings})
     examples = placeholder_problems(work.recipe, work.outputs.whole)
     if examples:
@@ -59,4 +62,5 @@ def command(
     painted = work.outputs.markers.get() if work.outputs.markers else None
     work.told |= told_of_outlines(work.recipe, found, painted, volume)
     save_output(output, found, work.finished_history())
-    echo_warnings(worst_first(*work.told.values()))
+    of_modality = modality_warnings(volume) if is_left_open else ()
+    echo_warnings(worst_first(*work.told.values(), of_modality))

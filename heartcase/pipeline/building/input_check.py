@@ -8,7 +8,7 @@ from pathlib import Path
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.markers.placeholders import placeholder_problems
 from heartcase.pipeline.stages.markers import stroke_problems
-from heartcase.pipeline.stages.read import whole_scan
+from heartcase.pipeline.stages.read import modality_warnings, whole_scan
 from heartcase.pipeline.warnings import CaseWarning, worst_first
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.geometry import Geometry
@@ -57,13 +57,7 @@ def check_inputs(recipe: Recipe, directory: Path) -> InputFindings:
         warnings = _told(recipe, directory, cut, whole.geometry)
     except HeartcaseError as error:
         return InputFindings((*problems, *error.problems))
-    if whole.modality not in ("CT", "MR"):
-        message = (
-            'whether it is a CT or an MR is stated neither by the scan nor by the recipe: write modality = "CT" or '
-            '"MR" under [scan]; without that it is treated as an MR'
-        )
-        warnings = (*warnings, CaseWarning(f"scan.modality: {message}"))
-    return InputFindings(tuple(problems), worst_first(warnings))
+    return InputFindings(tuple(problems), worst_first((*warnings, *modality_warnings(whole))))
 
 
 def _scan(recipe: Recipe, directory: Path) -> tuple[Scan, Scan]:

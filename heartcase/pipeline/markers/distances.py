@@ -14,7 +14,9 @@ from heartcase.schemas.labels import BACKGROUND
 __all__ = ["far_from_heart", "nearness", "positions_mm"]
 
 FAR_MM = 20.0
-"""Background further than this from everything that is labelled as heart is far."""
+"""Background further than this from the heart is far."""
+MOST_MARKED = 20_000
+"""Marked voxels of the heart that are looked at, evenly spread over all."""
 
 
 def positions_mm(voxels: Int64, geometry: Geometry) -> Float64:
@@ -53,7 +55,7 @@ def nearness(voxels: Int64, own: UInt8, rival: UInt8, painted: UInt8, geometry: 
 
 
 def far_from_heart(forest: Forest, voxels: Int64, labels: UInt8, geometry: Geometry) -> Bool:
-    """Which voxels are background, and far from the lowest voxel of every basin of the heart.
+    """Which voxels are background, and far from the lowest voxel of every basin of the heart and from what marks it.
 
     Parameters
     ----------
@@ -65,9 +67,13 @@ def far_from_heart(forest: Forest, voxels: Int64, labels: UInt8, geometry: Geome
         The forest's lattice.
     """
     far: Bool = labels == BACKGROUND
-    heart = np.flatnonzero((forest.foot_label != BACKGROUND) & (forest.foot_label != UNMARKED))
     if far.any():
-        tree = cKDTree(positions_mm(forest.tree.root[heart], geometry))
+        basins = np.flatnonzero((forest.foot_label != BACKGROUND) & (forest.foot_label != UNMARKED))
+        marks = forest.marks.ravel()
+        # in a contested flat a label may have many voxels, and the foot of no basin
+        marked = np.flatnonzero((marks != BACKGROUND) & (marks != UNMARKED))
+        heart = np.concatenate([forest.tree.root[basins], marked[:: max(len(marked) // MOST_MARKED, 1)]])
+        tree = cKDTree(positions_mm(heart, geometry))
         away_mm = tree.query(positions_mm(voxels[far], geometry), distance_upper_bound=FAR_MM)[0]
         far[far] = ~np.isfinite(away_mm)
     return far

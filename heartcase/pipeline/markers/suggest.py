@@ -58,7 +58,7 @@ class StrokePlace:
     """The other label that reaches it over the lowest pass."""
     change_ml: float
     """What a stroke of any other label there changes, ml: exactly this, where it stays within ``radius_mm``. In a flat
-    minimum that is marked already: what a dab of one voxel of the rival changes; a wider one changes more."""
+    minimum that is marked already: what a dab of one voxel of the rival changes; a wider one changes at least that."""
     certainty: float
     """Certainty of the place, 0 to 1."""
     radius_mm: float
@@ -151,11 +151,12 @@ def suggest_strokes(
     feet = feet or foot_certainty(forest)
     choice = _Choice(forest, feet, geometry, apart_mm, right)
     found: list[StrokePlace] = []
-    while len(found) <= count and (best := choice.best()) is not None:
+    while len(found) <= max(count, 0) and (best := choice.best()) is not None:
         found.append(choice.take(best))
     # a flat that was tried late may be worth more than was guessed
     found.sort(key=lambda place: -place.worth_ml)
-    return StrokePlaces(tuple(found[:count]), found[count].worth_ml if len(found) > count else 0.0)
+    places, rest = found[: max(count, 0)], found[max(count, 0) :]
+    return StrokePlaces(tuple(places), rest[0].worth_ml if rest else 0.0)
 
 
 class _Best(NamedTuple):
@@ -188,6 +189,8 @@ class _Choice:
         self._changed: dict[int, Int64] = {}
         self._changed_before = np.zeros(0, np.bool_)
         self._copy: Forest | None = None
+        at = [index for one in right if (index := _index_of(forest, one, geometry)) is not None]
+        self._right_voxels = np.array([np.ravel_multi_index(index, forest.labels.shape) for index in at], np.int64)
         self._taken_mm: list[tuple[float, float, float]] = []
 
     def best(self) -> _Best | None:
@@ -291,6 +294,8 @@ class _Choice:
             self._copy = self._forest.copy()
             self._copy.puts_off = False
         changed = changed_by_dab(self._copy, int(flats.voxel[n]), int(flats.rival[n]))
+        if np.isin(self._right_voxels, changed).any():
+            return
         ml = len(changed) * self._geometry.voxel_volume_mm3 / 1000.0
         if ml >= LEAST_ML:
             self._changed[number] = changed

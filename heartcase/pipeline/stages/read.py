@@ -8,11 +8,12 @@ from typing import Any
 
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.stages.stage import Stage, Work
+from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.errors import ScanError
 from heartcase.schemas.recipe.recipe import Recipe
 from heartcase.schemas.recipe.settings import resolved
 
-__all__ = ["STAGE", "region_of_scan", "whole_scan"]
+__all__ = ["STAGE", "modality_warnings", "region_of_scan", "whole_scan", "with_modality"]
 
 
 def whole_scan(recipe: Recipe, directory: Path) -> Scan:
@@ -32,7 +33,7 @@ def whole_scan(recipe: Recipe, directory: Path) -> Scan:
             f"there is no scan: check the spelling (it is relative to the recipe), or put the scan there.{where}",
             place="scan.path",
         )
-    scan = _with_modality(read_scan(path, **recipe.scan.choice), recipe)
+    scan = with_modality(read_scan(path, **recipe.scan.choice), recipe)
     return dataclasses.replace(scan, whole_sha256=scan.values_sha256)
 
 
@@ -49,11 +50,22 @@ def region_of_scan(recipe: Recipe, directory: Path) -> Scan:
     return crop_scan(whole_scan(recipe, directory), recipe.region)
 
 
-def _with_modality(scan: Scan, recipe: Recipe) -> Scan:
-    """The file's own word on the kind of scan counts; the recipe's where the file says nothing."""
+def with_modality(scan: Scan, recipe: Recipe) -> Scan:
+    """The scan with its kind: the file's own word counts, the recipe's where the file says nothing."""
     if scan.modality != "unknown" or recipe.scan.modality is None:
         return scan
     return dataclasses.replace(scan, modality=recipe.scan.modality)
+
+
+def modality_warnings(scan: Scan) -> tuple[CaseWarning, ...]:
+    """What is to be said where nobody says what kind of scan it is, which settings are found by."""
+    if scan.modality in ("CT", "MR"):
+        return ()
+    message = (
+        'whether it is a CT or an MR is stated neither by the scan nor by the recipe: write modality = "CT" or '
+        '"MR" under [scan]; without that it is treated as an MR'
+    )
+    return (CaseWarning(f"scan.modality: {message}"),)
 
 
 def _settings(work: Work) -> dict[str, Any]:

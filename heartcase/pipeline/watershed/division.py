@@ -22,7 +22,7 @@ from heartcase.schemas.arrays import Int16, Int64, UInt8, UInt16
 if TYPE_CHECKING:
     from heartcase.pipeline.watershed.tree import BasinTree
 
-__all__ = ["Division", "divided_anew", "divided_flats"]
+__all__ = ["Division", "divided_flats", "redivided"]
 
 FAR = 65535
 """Step of a voxel that no marked one reaches yet."""
@@ -71,7 +71,7 @@ def divided_flats(tree: BasinTree, marks: UInt8, flat_label: Int16, voxels: Int6
     return division
 
 
-def divided_anew(
+def redivided(
     tree: BasinTree,
     painted: UInt8,
     marks: UInt8,

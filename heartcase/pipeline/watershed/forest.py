@@ -18,7 +18,7 @@ from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.boxes import Box, as_box, in_parts, tiles_around, voxels_in, within
 from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
-from heartcase.pipeline.watershed.division import Division, divided_anew, divided_flats
+from heartcase.pipeline.watershed.division import Division, divided_flats, redivided
 from heartcase.pipeline.watershed.hanging import Filling, PartedForest, solve_parted
 from heartcase.pipeline.watershed.incremental import mend, unmark
 from heartcase.pipeline.watershed.marks import (
@@ -100,6 +100,7 @@ class Forest:
     put_off_times: int = 0
     """How often labels were put off so far."""
     _division: Division | None = None
+    """How contested flat minima are divided; None while none was."""
     _is_behind: bool = False
     """Whether labels and levels of feet are of earlier markers: those of now follow from what is parted."""
     _parted: PartedForest | None = None
@@ -167,7 +168,7 @@ class Forest:
         if any(is_flat_contested(*flats, voxels, label) for label, voxels in strokes):
             if self._division is None:
                 self._division = Division(np.zeros(self.marks.size, np.uint16))
-            strokes = divided_anew(tree, self.painted, self.marks, self.flat_label, strokes, self._division)
+            strokes = redivided(tree, self.painted, self.marks, self.flat_label, strokes, self._division)
         return self._mark(strokes)
 
     def _mark(self, groups: Sequence[tuple[int, Int64]]) -> Box | None:

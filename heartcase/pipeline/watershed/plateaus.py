@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numba
 import numpy as np
 
@@ -12,9 +10,6 @@ from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.pipeline.kernels.union_find import root_of
 from heartcase.pipeline.watershed.descent import ROOT, row_chunks, side_offsets
 from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["flat_minima", "ways_to_flats"]
 

@@ -101,8 +101,8 @@ class SegmentSettings(Model):
     """Watershed: blur for the shape, which decides where the gradient is only noise, such as in an open valve; 0 leaves
     the shape out. 2 mm for a CT and 3 mm for others when left out."""
     noise_floor: Annotated[float, Field(ge=0.0, le=20.0)] | None = None
-    """Watershed: gradients below this count as noise, in tenth percentiles of the scan's gradient; where all is noise,
-    labels meet half way. 0 counts every gradient. 3.5 for a CT and 0 for others when left out."""
+    """Watershed: what gradient and shape come to counts as noise below this, in tenth percentiles of the scan's
+    gradient; where all is noise, labels meet half way. 0 for no floor. 3.5 for a CT and 0 for others when left out."""
     ranges: tuple[ThresholdRange, ...] = ()
     """Threshold: intensity range of each label; a voxel in two ranges gets the first."""
     automatic: tuple[Literal["background", "lung"], ...] = ()

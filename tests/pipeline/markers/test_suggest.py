@@ -278,6 +278,48 @@ def test_in_a_flat_that_two_labels_share_a_place_is_named_far_from_the_markers_o
         assert (place.label, place.rival) != (1, 2) or away >= 10.0
 
 
+def tube(**labels):
+    """A flat tube along x, 56 voxels long, in a steep block: forest and lattice."""
+    shape = (9, 9, 60)
+    height = np.full(shape, 5.0, np.float32)
+    height[2:7, 2:7, 2:58] = 1.0
+    return solve_forest(build_basin_tree(height), marked(shape, **labels)), oblique(shape, (1.0, 1.0, 1.0))
+
+
+def test_what_a_dab_would_change_of_a_place_that_was_found_right_is_not_named():
+    forest, geometry = tube(label0=(0, 0, 0), label1=(4, 4, 4), label2=(4, 4, 50))
+    said = []
+    for _ in range(20):
+        places = suggest_strokes(forest, geometry, count=1, right=said, apart_mm=1.0).places
+        if not places:
+            break
+        (place,) = places
+        index = np.rint(geometry.world_to_index(np.array(place.position_mm))).astype(int)[::-1]
+        painted = forest.painted.copy()
+        painted[tuple(index)] = place.rival
+        changed = solve_forest(forest.tree, painted).labels != forest.labels
+        for one in said:
+            assert not changed[tuple(np.rint(geometry.world_to_index(np.array(one.position_mm))).astype(int)[::-1])]
+        said.append(RightPlace(place.position_mm, place.label, place.rival))
+    assert places == ()
+    assert len(said) > 1
+
+
+def test_background_in_a_flat_of_the_heart_is_named_though_the_heart_has_no_foot_near_it():
+    for one, two in ((0, 1), (1, 0)):
+        forest, geometry = tube(**{f"label{one}": (4, 4, 4), f"label{two}": (4, 4, 56)})
+        pairs = {(place.label, place.rival) for place in suggest_strokes(forest, geometry, apart_mm=1.0).places}
+        assert {(0, 1), (1, 0)} <= pairs
+
+
+def test_no_place_at_all_can_be_asked_for():
+    forest, geometry = tube(label1=(4, 4, 4), label2=(4, 4, 50))
+    for count in (0, -1):
+        found = suggest_strokes(forest, geometry, count=count)
+        assert found.places == ()
+        assert found.rest_ml > 0.0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_over_a_floor_too_finding_all_places_right_comes_to_an_end(seed):
     shape = (14, 16, 18)

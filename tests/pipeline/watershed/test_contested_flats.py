@@ -79,7 +79,7 @@ def test_a_stroke_in_a_flat_that_two_labels_share_divides_it_alone():
     for voxel, label in ((0, 1), (19, 3), (9, 2)):
         forest.paint(np.array([voxel]), label)
     assert forest.labels.ravel().tolist() == [1] * 5 + [2] * 5 + [2] + [3] * 9
-    with patch.object(module, "divided_anew", wraps=division.divided_anew) as divided:
+    with patch.object(module, "redivided", wraps=division.redivided) as divided:
         forest.paint(np.array([4]), 2)
         assert forest.labels.ravel().tolist() == [1] * 3 + [2] * 7 + [2] + [3] * 9
         forest.paint(np.array([4]), UNMARKED)
