@@ -25,7 +25,7 @@ from heartcase.pipeline.watershed.forest import Forest
 from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["FlatPlaces", "changed_by_dab", "flat_places", "in_marked_flat"]
+__all__ = ["MOST_LOOKED_AT", "FlatPlaces", "changed_by_dab", "flat_places", "in_marked_flat"]
 
 MOST_LOOKED_AT = 4096
 """Voxels of a flat minimum that are looked at, evenly spread over it."""

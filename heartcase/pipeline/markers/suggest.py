@@ -24,7 +24,13 @@ import numpy as np
 
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.markers.distances import far_from_heart, nearness, positions_mm
-from heartcase.pipeline.markers.flat_places import FlatPlaces, changed_by_dab, flat_places, in_marked_flat
+from heartcase.pipeline.markers.flat_places import (
+    MOST_LOOKED_AT,
+    FlatPlaces,
+    changed_by_dab,
+    flat_places,
+    in_marked_flat,
+)
 from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty
 from heartcase.pipeline.watershed.descent import side_offsets
 from heartcase.pipeline.watershed.forest import Forest
@@ -256,20 +262,26 @@ class _Choice:
         )
 
     def _deepest(self, basin: int, changed: Int64) -> tuple[int, float]:
-        """Of a basin's lowest voxels the one deepest in what changes, away from other places; and how deep, mm."""
+        """Of a flat at a basin's bottom the voxel deepest in what changes, near the heart; and how deep it is, mm.
+
+        The lowest voxel itself where there is no flat, or where all others are too near to places that were taken.
+        """
         tree = self._forest.tree
         root, shape = int(tree.root[basin]), self._forest.labels.shape
         depth_mm = _depths_mm(shape, changed, self._geometry)
+        lowest = int(np.searchsorted(changed, root))
         if tree.flat[basin] < 0:
-            return root, float(depth_mm[np.searchsorted(changed, root)])
+            return root, float(depth_mm[lowest])
         bits, basins = tree.height.view(np.int32).ravel(), tree.basin.ravel()[changed]
-        is_choice = (tree.flat[basins] == tree.flat[basin]) & (bits[changed] == bits[root])
-        place_mm = positions_mm(changed[is_choice], self._geometry)
-        is_away = np.ones(len(place_mm), np.bool_)
+        choice = np.flatnonzero((tree.flat[basins] == tree.flat[basin]) & (bits[changed] == bits[root]))
+        choice = choice[:: -(-len(choice) // MOST_LOOKED_AT)]
+        place_mm = positions_mm(changed[choice], self._geometry)
+        labels = np.full(len(choice), self._forest.foot_label[basin])
+        is_good = ~far_from_heart(self._forest, changed[choice], labels, self._geometry)
         for taken_mm in self._taken_mm:
-            is_away &= ((place_mm - taken_mm) ** 2).sum(axis=1) >= self._apart_mm**2
-        is_choice[is_choice] = is_away | (changed[is_choice] == root)
-        best = int(np.flatnonzero(is_choice)[np.argmax(depth_mm[is_choice])])
+            is_good &= ((place_mm - taken_mm) ** 2).sum(axis=1) >= self._apart_mm**2
+        choice = np.append(choice[is_good], lowest)
+        best = int(choice[np.argmax(depth_mm[choice])])
         return int(changed[best]), float(depth_mm[best])
 
     def _meets_taken(self, number: int) -> bool:
