@@ -104,5 +104,8 @@ def test_the_reference_of_the_recipe_names_every_setting() -> None:
     for key in Recipe.model_fields:
         assert f"| `{key}` |" in page
     assert "| `iterations` | whole number, at least 1, at most 200 | `5` |" in page
+    # limits of what may be left out, too
+    assert "| `noise_floor` | number, at least 0, at most 20 |  |" in page
+    assert "| `into` | text, no longer than 64 |  |" in page
     assert "\n## `WallsSettings`: `[walls]`\n" in page
     assert page.count("**needed**") > 10

@@ -98,15 +98,25 @@ def _type_words(annotation: Any) -> str:
 
 def _limits(field: FieldInfo) -> str:
     words = []
-    for constraint in field.metadata:
+    for constraint in (*field.metadata, *_of_optional(field.annotation)):
         for kind, attribute, word in _LIMITS:
             if isinstance(constraint, kind):
                 words.append(f"{word} {getattr(constraint, attribute):g}")
-        if isinstance(constraint, MinLen) and field.annotation is not str:
+        if isinstance(constraint, MinLen) and _type_words(field.annotation) != "text":
             words.append(f"{constraint.min_length} or more")
         if isinstance(constraint, MaxLen):
             words.append(f"no longer than {constraint.max_length}")
     return f", {', '.join(words)}" if words else ""
+
+
+def _of_optional(annotation: Any) -> Iterator[Any]:
+    """Limits of a value that may be left out, which stand inside its type."""
+    if get_origin(annotation) not in (typing.Union, types.UnionType):
+        return
+    held = [part for part in get_args(annotation) if part is not type(None)]
+    if len(held) == 1 and get_origin(held[0]) is typing.Annotated:
+        for inner in get_args(held[0])[1:]:
+            yield from inner.metadata if isinstance(inner, FieldInfo) else (inner,)
 
 
 def _default(field: FieldInfo) -> str:
