@@ -22,8 +22,8 @@ __all__ = ["command"]
 @working("smoothing the scan")
 def command(scan: Path, output: Path, choice: dict[str, Any], recipe: Path | None, sets: tuple[str, ...]) -> None:
     """Smooth SCAN by anisotropic diffusion and write OUTPUT (.nii.gz, .nrrd, .mha or .safetensors)."""
+    from heartcase.pipeline.building.input_check import modality_warnings
     from heartcase.pipeline.image.filter_scan import resolve_filter
-    from heartcase.pipeline.stages.read import modality_warnings
     from heartcase.pipeline.stages.stage import have
 
     work = stage_run(recipe, sets, stage="filter")

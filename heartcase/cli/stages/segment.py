@@ -36,10 +36,10 @@ def command(
     Markers and strokes come from the recipe, from --markers, or both; the labels are the recipe's, or those of a heart
     with four chambers.
     """
+    from heartcase.pipeline.building.input_check import modality_warnings
     from heartcase.pipeline.bundle.assembly import told_of_outlines
     from heartcase.pipeline.image.landscape import resolve_segment
     from heartcase.pipeline.markers.placeholders import placeholder_problems
-    from heartcase.pipeline.stages.read import modality_warnings
     from heartcase.pipeline.stages.stage import have
     from heartcase.pipeline.warnings import worst_first
     from heartcase.schemas.errors import RecipeError

@@ -8,13 +8,13 @@ from pathlib import Path
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.markers.placeholders import placeholder_problems
 from heartcase.pipeline.stages.markers import stroke_problems
-from heartcase.pipeline.stages.read import modality_warnings, whole_scan
+from heartcase.pipeline.stages.read import whole_scan
 from heartcase.pipeline.warnings import CaseWarning, worst_first
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import Recipe
 
-__all__ = ["InputFindings", "check_inputs"]
+__all__ = ["InputFindings", "check_inputs", "modality_warnings"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,17 @@ def check_inputs(recipe: Recipe, directory: Path) -> InputFindings:
     except HeartcaseError as error:
         return InputFindings((*problems, *error.problems))
     return InputFindings(tuple(problems), worst_first((*warnings, *modality_warnings(whole))))
+
+
+def modality_warnings(scan: Scan) -> tuple[CaseWarning, ...]:
+    """What is to be said where nobody says what kind of scan it is, which settings are found by."""
+    if scan.modality in ("CT", "MR"):
+        return ()
+    message = (
+        'whether it is a CT or an MR is stated neither by the scan nor by the recipe: write modality = "CT" or '
+        '"MR" under [scan]; without that it is treated as an MR'
+    )
+    return (CaseWarning(f"scan.modality: {message}"),)
 
 
 def _scan(recipe: Recipe, directory: Path) -> tuple[Scan, Scan]:

@@ -8,12 +8,11 @@ from typing import Any
 
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.stages.stage import Stage, Work
-from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.errors import ScanError
 from heartcase.schemas.recipe.recipe import Recipe
 from heartcase.schemas.recipe.settings import resolved
 
-__all__ = ["STAGE", "modality_warnings", "region_of_scan", "whole_scan", "with_modality"]
+__all__ = ["STAGE", "region_of_scan", "whole_scan", "with_modality"]
 
 
 def whole_scan(recipe: Recipe, directory: Path) -> Scan:
@@ -55,17 +54,6 @@ def with_modality(scan: Scan, recipe: Recipe) -> Scan:
     if scan.modality != "unknown" or recipe.scan.modality is None:
         return scan
     return dataclasses.replace(scan, modality=recipe.scan.modality)
-
-
-def modality_warnings(scan: Scan) -> tuple[CaseWarning, ...]:
-    """What is to be said where nobody says what kind of scan it is, which settings are found by."""
-    if scan.modality in ("CT", "MR"):
-        return ()
-    message = (
-        'whether it is a CT or an MR is stated neither by the scan nor by the recipe: write modality = "CT" or '
-        '"MR" under [scan]; without that it is treated as an MR'
-    )
-    return (CaseWarning(f"scan.modality: {message}"),)
 
 
 def _settings(work: Work) -> dict[str, Any]:
