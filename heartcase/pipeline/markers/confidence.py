@@ -19,7 +19,8 @@ import numpy as np
 
 from heartcase.pipeline.data import UNMARKED, Markers
 from heartcase.pipeline.kernels.boxes import box_of
-from heartcase.pipeline.markers.suggest import DISTANCE_POWER, DOUBT_POWER, StrokePlaces, suggest_strokes
+from heartcase.pipeline.markers.distances import doubt
+from heartcase.pipeline.markers.suggest import StrokePlaces, suggest_strokes
 from heartcase.pipeline.watershed.certainty import FootCertainty, foot_certainty, voxel_certainty
 from heartcase.pipeline.watershed.forest import Forest, solve_forest
 from heartcase.pipeline.watershed.tree import BasinTree
@@ -88,6 +89,6 @@ def voxel_confidence(forest: Forest, geometry: Geometry, feet: FootCertainty | N
         np.copyto(own_mm[box], away, where=labels[box] == value)
         np.copyto(rival_mm[box], away, where=rival[box] == value)
     nearness = own_mm / np.maximum(own_mm + rival_mm, np.finfo(np.float32).tiny)
-    doubt = (1.0 - voxel_certainty(forest, feet)) ** DOUBT_POWER * nearness**DISTANCE_POWER
-    confidence: Float32 = np.where(labels == UNMARKED, np.float32(0.0), np.float32(1.0) - doubt)
+    doubts = doubt(voxel_certainty(forest, feet), nearness)
+    confidence: Float32 = np.where(labels == UNMARKED, np.float32(0.0), np.float32(1.0) - doubts)
     return confidence

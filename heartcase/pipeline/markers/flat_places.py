@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.markers.distances import far_from_heart, nearness, positions_mm
+from heartcase.pipeline.markers.distances import MarkerDistances, doubt
 from heartcase.pipeline.watershed.certainty import FootCertainty
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.schemas.arrays import Bool, Float64, Int64, UInt8
@@ -52,12 +52,8 @@ class FlatPlaces:
 def in_marked_flat(forest: Forest) -> Bool:
     """Whether the lowest voxel of each basin lies in a flat minimum that is painted on, bool, shape (basins,)."""
     tree = forest.tree
-    painted = np.flatnonzero(forest.painted.ravel() != UNMARKED)
-    basin = tree.basin.ravel()[painted]
-    bits = tree.height.view(np.int32).ravel()
-    number = tree.flat[basin[bits[painted] == bits[tree.root[basin]]]]
     is_marked = np.zeros(tree.basin_count + 1, np.bool_)
-    is_marked[number] = True
+    is_marked[tree.flat_of(np.flatnonzero(forest.painted.ravel() != UNMARKED))] = True
     # the last one stands for no flat
     is_marked[-1] = False
     found: Bool = is_marked[tree.flat]
@@ -68,10 +64,10 @@ def flat_places(
     forest: Forest,
     feet: FootCertainty,
     geometry: Geometry,
+    distances: MarkerDistances,
     *,
     least_ml: float,
     sure: float,
-    powers: tuple[int, int],
     but_near: Sequence[tuple[Float64, int, int, float]] = (),
 ) -> FlatPlaces:
     """Find the places.
@@ -84,12 +80,12 @@ def flat_places(
         Its :func:`heartcase.pipeline.watershed.certainty.foot_certainty`.
     geometry
         Its lattice.
+    distances
+        Those to its markers.
     least_ml
         Flat minima smaller than this are left out, ml.
     sure
         Certainty from which on a voxel is left out.
-    powers
-        Of own / other and of the nearness.
     but_near
         Position (LPS mm), label, rival and distance (mm): nearer to it no place of these two labels is named.
     """
@@ -105,19 +101,19 @@ def flat_places(
     certainty = 1.0 - np.minimum(part, 1.0)
     keep = (rival != UNMARKED) & (label != UNMARKED) & (certainty < sure)
     keep &= forest.painted.ravel()[voxel] == UNMARKED
-    keep[keep] = ~far_from_heart(forest, voxel[keep], label[keep], geometry)
+    keep[keep] = ~distances.are_far_from_heart(voxel[keep], label[keep])
     for position_mm, one, two, away_mm in but_near:
         same = keep & (label == one) & (rival == two)
-        near = ((positions_mm(voxel[same], geometry) - position_mm) ** 2).sum(axis=1) < away_mm**2
+        near = ((distances.positions_mm(voxel[same]) - position_mm) ** 2).sum(axis=1) < away_mm**2
         keep[same] = ~near
     voxel, label, rival, certainty, basin = (each[keep] for each in (voxel, label, rival, certainty, basin))
-    near_rival, own_mm = nearness(voxel, label, rival, forest.painted, geometry)
-    doubt = (1.0 - certainty) ** powers[0] * near_rival ** powers[1]
+    near_rival, own_mm = distances.nearness(voxel, label, rival)
+    doubts = doubt(certainty, near_rival)
     about_ml = 4.0 / 3.0 * math.pi * (0.5 * own_mm) ** 3 / 1000.0
     cell = tree.flat[basin].astype(np.int64) * 256 + label
-    order = np.lexsort((voxel, -doubt * about_ml, cell))
+    order = np.lexsort((voxel, -doubts * about_ml, cell))
     best = order[np.concatenate([[True], np.diff(cell[order]) > 0])] if len(order) else order
-    return FlatPlaces(voxel[best], label[best], rival[best], certainty[best], doubt[best], about_ml[best])
+    return FlatPlaces(voxel[best], label[best], rival[best], certainty[best], doubts[best], about_ml[best])
 
 
 def changed_by_dab(copy: Forest, voxel: int, label: int) -> Int64:
@@ -148,15 +144,9 @@ def _differing(before: UInt8, after: UInt8, box: tuple[slice, ...]) -> Int64:
 def _sample(forest: Forest, least_count: float) -> Int64:
     """Voxels of the marked flat minima that are large enough, each flat's evenly spread."""
     tree = forest.tree
-    basins = np.flatnonzero(in_marked_flat(forest))
-    start, voxel_list = tree.voxels
-    counts = start[basins + 1] - start[basins]
-    owner = np.repeat(basins, counts)
-    first = np.repeat(start[basins] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
-    voxel = voxel_list[first + np.arange(len(owner))].astype(np.int64)
-    bits = tree.height.view(np.int32).ravel()
-    is_flat = bits[voxel] == bits[tree.root[owner]]
-    voxel, number = voxel[is_flat], tree.flat[owner[is_flat]]
+    voxel, _ = tree.voxels_of(np.flatnonzero(in_marked_flat(forest)))
+    number = tree.flat_of(voxel)
+    voxel, number = voxel[number >= 0], number[number >= 0]
     order = np.lexsort((voxel, number))
     voxel, number = voxel[order], number[order]
     _, first_place, size = np.unique(number, return_index=True, return_counts=True)

@@ -23,7 +23,7 @@ import edt
 import numpy as np
 
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.markers.distances import far_from_heart, nearness, positions_mm
+from heartcase.pipeline.markers.distances import MarkerDistances, doubt
 from heartcase.pipeline.markers.flat_places import (
     MOST_LOOKED_AT,
     FlatPlaces,
@@ -40,7 +40,7 @@ from heartcase.schemas.arrays import Bool, Float32, Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
-__all__ = ["DISTANCE_POWER", "DOUBT_POWER", "SURE", "RightPlace", "StrokePlace", "StrokePlaces", "suggest_strokes"]
+__all__ = ["SURE", "RightPlace", "StrokePlace", "StrokePlaces", "suggest_strokes"]
 
 
 SURE = 0.5
@@ -48,8 +48,6 @@ SURE = 0.5
 LEAST_ML = 0.02
 """Less than this is not worth a stroke."""
 LARGE_ML = 5.0
-DOUBT_POWER = 4
-DISTANCE_POWER = 2
 
 
 @dataclass(frozen=True)
@@ -181,15 +179,15 @@ class _Choice:
     ) -> None:
         self._forest, self._feet, self._geometry, self._apart_mm = forest, feet, geometry, apart_mm
         self._pieces = pieces = forest_pieces(forest)
-        self._found = found = _candidates(forest, feet, pieces, geometry)
-        self._flats = _flat_places(forest, feet, geometry, right, apart_mm)
-        self._place_mm = positions_mm(np.concatenate([forest.tree.root[found.basin], self._flats.voxel]), geometry)
+        self._distances = distances = MarkerDistances(forest, geometry)
+        self._found = found = _candidates(forest, feet, pieces, geometry, distances)
+        self._flats = _flat_places(forest, feet, geometry, distances, right, apart_mm)
+        self._place_mm = distances.positions_mm(np.concatenate([forest.tree.root[found.basin], self._flats.voxel]))
         self._taken = np.zeros(len(pieces.level), np.bool_)
         root_mm = self._place_mm[: len(found.basin)]
         are_right = _are_right(forest, feet, pieces, found.basin, root_mm, geometry, right, apart_mm)
         self._is_open = np.concatenate([~are_right, np.ones(len(self._flats.voxel), np.bool_)])
-        about = self._flats.doubt * np.minimum(self._flats.about_ml, LARGE_ML)
-        worth = np.concatenate([found.worth, about])
+        worth = np.concatenate([found.worth, _worth(self._flats.about_ml, self._flats.doubt)])
         # of equal worth the first basin; it is a heap, as it is in order
         self._queue = [(-float(worth[n]), n) for n in np.argsort(-worth, kind="stable").tolist()]
         self._changed: dict[int, Int64] = {}
@@ -243,12 +241,11 @@ class _Choice:
             self._note(changed)
         voxel, radius_mm = self._deepest(basin, changed)
         one = np.array([voxel])
-        worth, (x, y, z) = best.worth, positions_mm(one, self._geometry)[0].tolist()
+        worth, (x, y, z) = best.worth, self._distances.positions_mm(one)[0].tolist()
         if voxel != forest.tree.root[basin]:
-            labels = forest.foot_label[[basin]], feet.rival[[basin]]
-            doubt = (1.0 - float(feet.certainty[basin])) ** DOUBT_POWER
-            near_rival = float(nearness(one, *labels, forest.painted, self._geometry)[0][0])
-            worth = min(float(self._found.ml[number]), LARGE_ML) * doubt * near_rival**DISTANCE_POWER
+            near_rival, _ = self._distances.nearness(one, forest.foot_label[[basin]], feet.rival[[basin]])
+            sure = feet.certainty[[basin]].astype(np.float64)
+            worth = float(_worth(self._found.ml[[number]], doubt(sure, near_rival))[0])
             self._is_open &= ((self._place_mm - (x, y, z)) ** 2).sum(axis=1) >= self._apart_mm**2
         self._taken_mm.append((x, y, z))
         return StrokePlace(
@@ -272,12 +269,11 @@ class _Choice:
         lowest = int(np.searchsorted(changed, root))
         if tree.flat[basin] < 0:
             return root, float(depth_mm[lowest])
-        bits, basins = tree.height.view(np.int32).ravel(), tree.basin.ravel()[changed]
-        choice = np.flatnonzero((tree.flat[basins] == tree.flat[basin]) & (bits[changed] == bits[root]))
+        choice = np.flatnonzero(tree.flat_of(changed) == tree.flat[basin])
         choice = choice[:: -(-len(choice) // MOST_LOOKED_AT)]
-        place_mm = positions_mm(changed[choice], self._geometry)
+        place_mm = self._distances.positions_mm(changed[choice])
         labels = np.full(len(choice), self._forest.foot_label[basin])
-        is_good = ~far_from_heart(self._forest, changed[choice], labels, self._geometry)
+        is_good = ~self._distances.are_far_from_heart(changed[choice], labels)
         for taken_mm in self._taken_mm:
             is_good &= ((place_mm - taken_mm) ** 2).sum(axis=1) >= self._apart_mm**2
         choice = np.append(choice[is_good], lowest)
@@ -325,17 +321,25 @@ class _Choice:
         self._changed_before[changed] = True
 
 
+def _worth(ml: Float64, doubts: Float64) -> Float64:
+    """What a look is worth, ml."""
+    return np.minimum(ml, LARGE_ML) * doubts
+
+
 def _flat_places(
-    forest: Forest, feet: FootCertainty, geometry: Geometry, right: Sequence[RightPlace], apart_mm: float
+    forest: Forest,
+    feet: FootCertainty,
+    geometry: Geometry,
+    distances: MarkerDistances,
+    right: Sequence[RightPlace],
+    apart_mm: float,
 ) -> FlatPlaces:
     said = [
         (np.array(one.position_mm), one.label, one.rival, apart_mm)
         for one in right
         if _index_of(forest, one, geometry) is not None
     ]
-    return flat_places(
-        forest, feet, geometry, least_ml=LEAST_ML, sure=SURE, powers=(DOUBT_POWER, DISTANCE_POWER), but_near=said
-    )
+    return flat_places(forest, feet, geometry, distances, least_ml=LEAST_ML, sure=SURE, but_near=said)
 
 
 def _index_of(forest: Forest, right: RightPlace, geometry: Geometry) -> tuple[int, ...] | None:
@@ -371,18 +375,16 @@ def _are_right(
     return found
 
 
-def _candidates(forest: Forest, feet: FootCertainty, pieces: ForestPieces, geometry: Geometry) -> _Candidates:
+def _candidates(
+    forest: Forest, feet: FootCertainty, pieces: ForestPieces, geometry: Geometry, distances: MarkerDistances
+) -> _Candidates:
     """All basins that are unsure, would change enough, and have a rival."""
     ml = pieces.flipped_count[pieces.piece].astype(np.float64) * (geometry.voxel_volume_mm3 / 1000.0)
     sure = feet.certainty.astype(np.float64)
     basin = np.flatnonzero((feet.rival != UNMARKED) & (sure < SURE) & (ml >= LEAST_ML) & ~in_marked_flat(forest))
-    basin = basin[~far_from_heart(forest, forest.tree.root[basin], forest.foot_label[basin], geometry)]
-    near_rival, _ = nearness(
-        forest.tree.root[basin], forest.foot_label[basin], feet.rival[basin], forest.painted, geometry
-    )
-    doubt = (1.0 - sure[basin]) ** DOUBT_POWER
-    worth = np.minimum(ml[basin], LARGE_ML) * doubt * near_rival**DISTANCE_POWER
-    return _Candidates(basin, ml[basin], worth)
+    basin = basin[~distances.are_far_from_heart(forest.tree.root[basin], forest.foot_label[basin])]
+    near_rival, _ = distances.nearness(forest.tree.root[basin], forest.foot_label[basin], feet.rival[basin])
+    return _Candidates(basin, ml[basin], _worth(ml[basin], doubt(sure[basin], near_rival)))
 
 
 def _depths_mm(shape: tuple[int, ...], voxels: Int64, geometry: Geometry) -> Float32:
@@ -403,11 +405,7 @@ def _depths_mm(shape: tuple[int, ...], voxels: Int64, geometry: Geometry) -> Flo
 def _foot_voxels(forest: Forest, basins: Int64) -> Int64:
     """Flat indices of the voxels of some basins' feet."""
     tree = forest.tree
-    start, voxel_list = tree.voxels
-    counts = start[basins + 1] - start[basins]
-    owner = np.repeat(basins, counts)
-    first = np.repeat(start[basins] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
-    voxels = voxel_list[first + np.arange(len(owner))].astype(np.int64)
+    voxels, owner = tree.voxels_of(basins)
     offsets, direction, marks = side_offsets(tree.height.shape), tree.direction.ravel(), forest.marks.ravel()
     keep = np.ones(len(voxels), np.bool_)
     for n in np.flatnonzero(forest.lowest_mark[owner] >= 0):

@@ -61,11 +61,9 @@ def divided_flats(tree: BasinTree, marks: UInt8, flat_label: Int16, voxels: Int6
     contested = np.flatnonzero(flat_label == CONTESTED)
     if not len(contested):
         return None
-    bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
     # nobody touches what is in no contested flat, so it costs no memory
     division = Division(np.zeros(marks.size, np.uint16))
-    own = basin[voxels]
-    number = np.where(bits[voxels] == bits[tree.root[own]], tree.flat[own], -1)
+    number = tree.flat_of(voxels)
     for one in contested.tolist():
         _divide(tree, one, voxels[number == one], marks.reshape(-1), division)
     return division
@@ -97,13 +95,10 @@ def redivided(
         How the flat minima are divided; made to fit the strokes.
     """
     marked, seeded = marks.reshape(-1), painted.reshape(-1)
-    bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
     voxels = np.concatenate([one for _, one in strokes])
-    own = basin[voxels]
-    is_inside = (tree.flat[own] >= 0) & (bits[voxels] == bits[tree.root[own]])
-    number = np.where(is_inside, tree.flat[own], -1)
-    changed, values = [voxels[~is_inside]], [seeded[voxels[~is_inside]]]
-    for one in np.unique(number[is_inside]).tolist():
+    number = tree.flat_of(voxels)
+    changed, values = [voxels[number < 0]], [seeded[voxels[number < 0]]]
+    for one in np.unique(number[number >= 0]).tolist():
         inside = np.sort(voxels[number == one])
         if _stays_whole(one, seeded[inside], flat_label):
             changed.append(inside)

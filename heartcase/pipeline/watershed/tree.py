@@ -107,6 +107,19 @@ class BasinTree:
         start, voxels = _voxel_lists(self.basin.ravel(), self.basin_count)
         return start, voxels
 
+    def voxels_of(self, basins: Int64) -> tuple[Int64, Int64]:
+        """Flat indices of the voxels of some basins, one basin after the other, and the basin of each."""
+        start, voxel_list = self.voxels
+        counts = start[basins + 1] - start[basins]
+        owner = np.repeat(basins, counts)
+        first = np.repeat(start[basins] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
+        return voxel_list[first + np.arange(len(owner))].astype(np.int64), owner
+
+    def flat_of(self, voxels: Int64) -> Int32:
+        """Number of the flat minimum that each voxel, a flat index, lies in, int32; -1 where it lies in none."""
+        bits, basin = self.height.view(np.int32).ravel(), self.basin.ravel()[voxels]
+        return np.where(bits[voxels] == bits[self.root[basin]], self.flat[basin], np.int32(-1))
+
     @cached_property
     def hanging(self) -> HangingTree:
         """What each basin hangs on while it is not marked: see :mod:`heartcase.pipeline.watershed.hanging`."""

@@ -23,6 +23,11 @@ def oblique(shape, spacing_mm=(0.9, 1.4, 2.2)):
     return Geometry.of(shape=shape, origin_mm=(12.0, -40.0, 90.0), spacing_mm=spacing_mm, direction=DIRECTION)
 
 
+def index_of(geometry, position_mm):
+    """Index [z, y, x] of the voxel at a position."""
+    return tuple(np.rint(geometry.world_to_index(np.array(position_mm))).astype(int)[::-1].tolist())
+
+
 def marked(shape, **labels):
     markers = np.full(shape, UNMARKED, np.uint8)
     for name, index in labels.items():
@@ -72,7 +77,7 @@ def test_in_a_flat_lake_the_place_is_where_the_widest_brush_stays_inside():
     lake = height == 0.5
     assert place.change_ml == pytest.approx(changed.sum() / 1000.0)
     assert place.radius_mm == depth[lake].max() == 4.0
-    index = tuple(np.rint(geometry.world_to_index(np.array(place.position_mm))).astype(int)[::-1])
+    index = index_of(geometry, place.position_mm)
     # of equally deep ones the first
     assert index == tuple(np.argwhere(lake & (depth == 4.0))[0])
     # found right, it is not named again, though it is not the lowest voxel of its basin
@@ -132,8 +137,7 @@ def test_a_stroke_inside_the_radius_changes_exactly_the_volume_that_was_said(see
     for place in found.places:
         assert 0.0 <= place.certainty < SURE
         assert place.change_ml >= LEAST_ML
-        index = np.rint(geometry.world_to_index(np.array(place.position_mm))).astype(int)
-        assert forest.labels[tuple(index[::-1])] == place.label != place.rival
+        assert forest.labels[index_of(geometry, place.position_mm)] == place.label != place.rival
         for radius in (0.0, 0.999 * place.radius_mm):
             for label in (place.rival, 9):
                 stroke = Stroke(label="any", radius_mm=min(radius, 50.0), points_mm=(place.position_mm,))
@@ -217,7 +221,7 @@ def test_over_a_floor_too_a_stroke_changes_the_volume_that_was_said(seed):
     changed_before = np.zeros(shape, bool)
     in_flats = 0
     for place in found.places:
-        index = tuple(np.rint(geometry.world_to_index(np.array(place.position_mm))).astype(int)[::-1])
+        index = index_of(geometry, place.position_mm)
         assert forest.labels[index] == place.label != place.rival
         assert place.change_ml >= LEAST_ML
         assert 0.0 <= place.certainty < SURE
@@ -263,7 +267,7 @@ def test_in_a_flat_that_two_labels_share_a_place_is_named_far_from_the_markers_o
     forest = solve_forest(build_basin_tree(height), markers)
     places = suggest_strokes(forest, geometry, count=5).places
     one = next(place for place in places if (place.label, place.rival) == (1, 2))
-    x, y, z = np.rint(geometry.world_to_index(np.array(one.position_mm)))
+    z, y, x = index_of(geometry, one.position_mm)
     assert 15 <= x <= 27
     assert 2 <= y <= 6
     assert 2 <= z <= 6
@@ -294,12 +298,11 @@ def test_what_a_dab_would_change_of_a_place_that_was_found_right_is_not_named():
         if not places:
             break
         (place,) = places
-        index = np.rint(geometry.world_to_index(np.array(place.position_mm))).astype(int)[::-1]
         painted = forest.painted.copy()
-        painted[tuple(index)] = place.rival
+        painted[index_of(geometry, place.position_mm)] = place.rival
         changed = solve_forest(forest.tree, painted).labels != forest.labels
         for one in said:
-            assert not changed[tuple(np.rint(geometry.world_to_index(np.array(one.position_mm))).astype(int)[::-1])]
+            assert not changed[index_of(geometry, one.position_mm)]
         said.append(RightPlace(place.position_mm, place.label, place.rival))
     assert places == ()
     assert len(said) > 1
