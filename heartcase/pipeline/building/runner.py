@@ -162,7 +162,9 @@ class Runner(UncachedRunner):
             node = work.outputs.of(name)
             if node is not None:
                 node.get()
-        _, done = side_by_side(lambda: self.run(longer, work), lambda: _timed(lambda: stage.compute(work)))
+        _, done = side_by_side(
+            lambda: self.run(longer, work), lambda: _timed(lambda: stage.compute(work)), second_in_background=True
+        )
         self.run(stage, work, done=done)
         work.records[-2:] = reversed(work.records[-2:])
 

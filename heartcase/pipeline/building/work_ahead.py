@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from importlib import import_module
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-import numba
-
 from heartcase.pipeline.data import Surface
-from heartcase.pipeline.kernels.parallel import may_share
+from heartcase.pipeline.kernels.parallel import background_worker, may_share
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work
 from heartcase.schemas.arrays import Float32
@@ -34,9 +32,7 @@ class WorkAhead:
     def __init__(self, work: Work) -> None:
         self._work = work
         self._is_over = False
-        self._pool = ThreadPoolExecutor(
-            1, "heartcase-ahead", initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),)
-        )
+        self._pool = background_worker("heartcase-ahead")
 
     def __enter__(self) -> WorkAhead:
         """Nothing is begun yet."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,13 +14,25 @@ import numba
 
 from heartcase.compiling.kernel import kernel
 
-__all__ = ["all_side_by_side", "every_other", "in_one_thread", "may_share", "side_by_side", "two_workers"]
+__all__ = [
+    "all_side_by_side",
+    "background_worker",
+    "every_other",
+    "in_one_thread",
+    "may_share",
+    "side_by_side",
+    "two_workers",
+]
 
 A = TypeVar("A")
 B = TypeVar("B")
+_FEW_CORES = 2
+"""With no more than these, work in the background leaves them to what is waited for."""
+_NICENESS = 10
+"""By which the scheduler lets such work wait."""
 
 
-def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]:
+def side_by_side(first: Callable[[], A], second: Callable[[], B], *, second_in_background: bool = False) -> tuple[A, B]:
     """Do two pieces of work, at the same time where there are threads for it.
 
     Much of what is neither a kernel nor waits for one runs in one thread only, so even with two cores there is room.
@@ -29,6 +43,8 @@ def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]
         Done in the calling thread.
     second
         Done in another one.
+    second_in_background
+        The first takes longer: the second leaves it the cores where there are few (:func:`background_worker`).
 
     Returns
     -------
@@ -42,7 +58,7 @@ def side_by_side(first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]
     """
     if not may_share():
         return first(), second()
-    with _pool(1) as pool:
+    with background_worker() if second_in_background else _pool(1) as pool:
         other = pool.submit(second)
         one = first()
     return one, other.result()
@@ -55,6 +71,23 @@ def two_workers() -> ThreadPoolExecutor:
 
 def _pool(workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, initializer=numba.set_num_threads, initargs=(numba.get_num_threads(),))
+
+
+def background_worker(name: str = "") -> ThreadPoolExecutor:
+    """A pool of one thread for work that is waited for last.
+
+    Where there are few cores it takes what others leave idle of them, and its kernels use no other thread: so what is
+    waited for first is there sooner, and all of it no later. With more cores there is room for both.
+    """
+    return ThreadPoolExecutor(1, name, initializer=_begin_in_background, initargs=(numba.get_num_threads(),))
+
+
+def _begin_in_background(thread_count: int) -> None:
+    has_few = thread_count <= _FEW_CORES
+    numba.set_num_threads(1 if has_few else thread_count)
+    if has_few and sys.platform == "linux":
+        # There it holds for the calling thread alone.
+        os.nice(_NICENESS)
 
 
 @contextmanager

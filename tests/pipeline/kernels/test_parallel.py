@@ -1,5 +1,7 @@
 """Two pieces of work at the same time."""
 
+import os
+import sys
 import threading
 import time
 
@@ -8,6 +10,7 @@ import pytest
 
 from heartcase.pipeline.kernels.parallel import (
     all_side_by_side,
+    background_worker,
     every_other,
     in_one_thread,
     may_share,
@@ -40,6 +43,24 @@ def test_both_results_come_back_and_both_run_at_once(two_threads):
     one, (other, threads) = side_by_side(first, second)
     assert one == threading.get_ident() != other
     assert threads == 2
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_with_few_cores_work_in_the_background_leaves_them_to_others(two_threads, count):
+    if count > numba.config.NUMBA_NUM_THREADS:
+        pytest.skip(f"fewer than {count} threads")
+    numba.set_num_threads(count)
+
+    def about():
+        return numba.get_num_threads(), os.nice(0) if sys.platform == "linux" else 0
+
+    before = about()
+    one, other = side_by_side(about, about, second_in_background=True)
+    with background_worker("of-a-test") as worker:
+        assert worker.submit(about).result() == other
+    assert one == about() == before
+    is_behind = count == 2 and sys.platform == "linux"
+    assert other == (1 if count == 2 else count, min(19, before[1] + 10) if is_behind else before[1])
 
 
 def test_with_one_thread_one_comes_after_the_other():
