@@ -13,13 +13,17 @@ from heartcase.simulator.cutting.crossings import SAMPLES
 __all__ = ["Near", "Tissue", "draw_in", "find_near", "follow_back"]
 
 _CANDIDATES = 16
-"""Cells nearest to a place in which it is looked for."""
+"""Cells nearest to a place in which it is looked for first; then in all that reach so far."""
+_REACH_MOST = 3.5
+"""How far a cell reaches from its middle at most, to be looked in although it is none of the nearest [cells]."""
 _AVERAGED = 8
 """The nearest of these, as which a place beside the tissue moves."""
 _BESIDE = 0.6
 """How far from its centre along an axis a place still belongs to a cell [edges]."""
-_ROUNDS = 6
-"""Of Newton's method."""
+_ROUNDS = 12
+"""Of Newton's method at most: a cell in which it is not there by then does not hold the place."""
+_STEP_LEAST = 1e-5
+"""A step of it after which it is there: the next one would be about its square [edges]."""
 _TOUCHING = 0.1
 """How far from the tissue of a piece a place still belongs to it [edges]."""
 
@@ -54,6 +58,10 @@ class Near(NamedTuple):
     """Ascending, shape (count,)."""
     middles: Float64
     """Where their middles are now [cells], along x, y and z, shape (3, count)."""
+    sizes: Float64
+    """Square of how far their corners are from there at most, up to a limit [cells^2], shape (count,)."""
+    size_most: float
+    """The largest of these; zero where there is no cell."""
     reach: float
     """All are there that are no further than this from one of the places [cells]."""
 
@@ -93,14 +101,18 @@ def _local_place(point, tissue, cell, local):
             return np.inf
         y0, y1, y2 = cv * az - cw * ay, cw * ax - cu * az, cu * ay - cv * ax
         z0, z1, z2 = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        lx -= (x0 * gx + y0 * gy + z0 * gz) / determinant
-        ly -= (x1 * gx + y1 * gy + z1 * gz) / determinant
-        lz -= (x2 * gx + y2 * gy + z2 * gz) / determinant
-        if max(abs(lx), abs(ly), abs(lz)) > 1.0:
+        dx = (x0 * gx + y0 * gy + z0 * gz) / determinant
+        dy = (x1 * gx + y1 * gy + z1 * gz) / determinant
+        dz = (x2 * gx + y2 * gy + z2 * gz) / determinant
+        lx, ly, lz = lx - dx, ly - dy, lz - dz
+        size = max(abs(lx), abs(ly), abs(lz))
+        if size > 1.0:
             # Beside the cell its displacements are no guide.
             return np.inf
-    local[0], local[1], local[2] = lx, ly, lz
-    return max(abs(lx), abs(ly), abs(lz))
+        if max(abs(dx), abs(dy), abs(dz)) < _STEP_LEAST:
+            local[0], local[1], local[2] = lx, ly, lz
+            return size
+    return np.inf
 
 
 @kernel(cached=False)
@@ -136,6 +148,20 @@ def _piece_of(tissue, cell):
 
 
 @kernel(cached=False)
+def _size_of(tissue, cell, middle):
+    """Square of how far a cell reaches from its middle: no point of it is further away than its corners."""
+    size = 0.0
+    for corner in range(8):
+        square, node = 0.0, tissue.corners[cell, corner]
+        for axis in range(3):
+            at = (tissue.cells[cell, axis] + 0.5) + tissue.offsets[corner, axis] + tissue.displacement[node, axis]
+            square += (at - middle[axis]) ** 2
+        size = max(size, square)
+    # A little more, whatever was rounded.
+    return min(1.0001 * size, _REACH_MOST**2)
+
+
+@kernel(cached=False)
 def _middle(tissue, cell, middle):
     """Write where the middle of a cell is now."""
     for axis in range(3):
@@ -167,7 +193,7 @@ def find_near(points, tissue, reach):
             high[axis] = max(high[axis], points[point, axis] + reach)
     _most_moved(tissue.displacement, moved)
     first, last = low - moved[1] - 0.501, high - moved[0] - 0.499
-    cells, middles, count = np.empty(1024, np.int64), np.empty((3, 1024)), 0
+    cells, middles, sizes, count = np.empty(1024, np.int64), np.empty((3, 1024)), np.empty(1024), 0
     middle = np.empty(3)
     for cell in range(len(tissue.cells)):
         # A cell moves no further than the nodes do, but for rounding.
@@ -177,15 +203,17 @@ def find_near(points, tissue, reach):
             continue
         if count == len(cells):
             cells, middles = np.append(cells, cells), np.concatenate((middles, middles), axis=1)
+            sizes = np.append(sizes, sizes)
         inside = True
         _middle(tissue, cell, middle)
         for axis in range(3):
             inside &= low[axis] <= middle[axis] <= high[axis]
             middles[axis, count] = middle[axis]
         if inside:
-            cells[count] = cell
+            cells[count], sizes[count] = cell, _size_of(tissue, cell, middle)
             count += 1
-    return Near(cells[:count].copy(), middles[:, :count].copy(), reach)
+    size_most = sizes[:count].max() if count else 0.0
+    return Near(cells[:count].copy(), middles[:, :count].copy(), sizes[:count].copy(), size_most, reach)
 
 
 @kernel(cached=False)
@@ -210,47 +238,6 @@ def _find_nearest(point, middles, squares, nearest, away):
             furthest = away[_CANDIDATES - 1]
 
 
-@kernel(cached=False)
-def _place_back(point, tissue, cells, middles, room, result):
-    """Write the place at rest of one point, from the cells nearest to it; and say whether it lies in no tissue."""
-    nearest, away, local, best = room.nearest, room.away, room.local, room.best
-    # A cell that was parted takes up its cube with others: a place there belongs to it where its own tissue is.
-    least, is_parted, size_there = np.inf, False, np.inf
-    for candidate in range(_CANDIDATES):
-        if nearest[candidate] < 0:
-            break
-        cell = cells[nearest[candidate]]
-        size = _local_place(point, tissue, cell, local)
-        if size == np.inf:
-            continue
-        off = max(size - 0.5, 0.0)
-        row, piece = _piece_of(tissue, cell)
-        if row >= 0:
-            off = _away_from_tissue(local, tissue.samples[row], piece, room.sides)
-        if off < least:
-            least, is_parted, size_there = off, row >= 0, size
-            for axis in range(3):
-                best[axis] = (tissue.cells[cell, axis] + 0.5) + local[axis]
-        if least <= 0.0:
-            break
-    if is_parted or size_there <= _BESIDE:
-        result[:] = best
-        return least > _TOUCHING if is_parted else least == np.inf
-    # Beside the tissue: as the nearest cells have moved, on average, so that no two places near each other part.
-    total = 0.0
-    best[:] = 0.0
-    for candidate in range(_AVERAGED):
-        number = nearest[candidate]
-        if number >= 0:
-            weight = 1.0 / (away[candidate] + 1e-6)
-            total += weight
-            for axis in range(3):
-                best[axis] += weight * (middles[axis, number] - (tissue.cells[cells[number], axis] + 0.5))
-    for axis in range(3):
-        result[axis] = point[axis] - best[axis] / total
-    return least == np.inf
-
-
 class _Room(NamedTuple):
     """Room for what is worked out for one point."""
 
@@ -259,6 +246,74 @@ class _Room(NamedTuple):
     local: Float64
     best: Float64
     sides: Float64
+
+
+class _Found(NamedTuple):
+    """Where a point was found best."""
+
+    off: float
+    """How far from the cell's own tissue, the largest of the components [edges]."""
+    size: float
+    """Largest component of its place from the cell's centre [edges]."""
+    is_parted: bool
+    """Whether the cell was parted."""
+
+
+@kernel(cached=False)
+def _look_in(point, tissue, near, numbers, room, found):
+    """Look for a point in some of the cells near it, and keep where it is nearest to a cell's own tissue."""
+    local, best, sides = room.local, room.best, room.sides
+    # A cell that was parted takes up its cube with others: a place there belongs to it where its own tissue is.
+    least, size_there, is_parted = found.off, found.size, found.is_parted
+    for number in numbers:
+        if number < 0 or least <= 0.0:
+            break
+        cell = near.cells[number]
+        size = _local_place(point, tissue, cell, local)
+        if size == np.inf:
+            continue
+        off = max(size - 0.5, 0.0)
+        row, piece = _piece_of(tissue, cell)
+        if row >= 0:
+            off = _away_from_tissue(local, tissue.samples[row], piece, sides)
+        if off < least:
+            least, size_there, is_parted = off, size, row >= 0
+            for axis in range(3):
+                best[axis] = (tissue.cells[cell, axis] + 0.5) + local[axis]
+    return _Found(least, size_there, is_parted)
+
+
+@kernel(cached=False)
+def _find_others(near, squares, nearest):
+    """Further cells that reach as far as a point is from their middles, beside the nearest."""
+    others, count = np.empty(len(squares), np.int64), 0
+    for number in range(len(near.cells)):
+        if squares[number] <= near.sizes[number] and number not in nearest:
+            others[count] = number
+            count += 1
+    return others[:count]
+
+
+@kernel(cached=False)
+def _place_back(point, near, at_rest, room, found, result):
+    """Write the place at rest of one point, from where it was found; and say whether it lies in no tissue."""
+    if found.is_parted or found.size <= _BESIDE:
+        result[:] = room.best
+        return found.off > _TOUCHING if found.is_parted else found.off == np.inf
+    # Beside the tissue: as the nearest cells have moved, on average, so that no two places near each other part.
+    total = 0.0
+    room.best[:] = 0.0
+    for candidate in range(_AVERAGED):
+        number = room.nearest[candidate]
+        if number >= 0:
+            weight = 1.0 / (room.away[candidate] + 1e-6)
+            total += weight
+            for axis in range(3):
+                moved = near.middles[axis, number] - (at_rest[near.cells[number], axis] + 0.5)
+                room.best[axis] += weight * moved
+    for axis in range(3):
+        result[axis] = point[axis] - room.best[axis] / total
+    return found.off == np.inf
 
 
 @kernel
@@ -271,20 +326,26 @@ def follow_back(points, tissue, near, wider, result, is_open):
     room = _Room(
         np.empty(_CANDIDATES, np.int64), np.empty(_CANDIDATES), np.empty(3), np.empty(3), np.empty((3, SAMPLES))
     )
-    squares = np.empty(max(len(near.cells), len(wider.cells)))
+    squares, nowhere = np.empty(max(len(near.cells), len(wider.cells))), _Found(np.inf, np.inf, False)
     for point in range(len(points)):
-        found = near
+        here, found = near, nowhere
         while True:
-            _find_nearest(points[point], found.middles, squares, room.nearest, room.away)
+            _find_nearest(points[point], here.middles, squares, room.nearest, room.away)
             # A cell beyond the box is further away than it reaches, whatever was rounded.
-            is_enough = room.away[_CANDIDATES - 1] < 0.999 * found.reach * found.reach
-            if is_enough or len(found.cells) == len(tissue.cells):
-                break
-            if found.reach >= wider.reach:
-                wider = find_near(points, tissue, 2.0 * found.reach + 1.0)
+            reach, has_all = 0.999 * here.reach, len(here.cells) == len(tissue.cells)
+            if has_all or room.away[_CANDIDATES - 1] < reach * reach:
+                found = _look_in(points[point], tissue, here, room.nearest, room, nowhere)
+                if has_all or found.off <= 0.0 or reach >= _REACH_MOST:
+                    break
+            if here.reach >= wider.reach:
+                wider = find_near(points, tissue, 2.0 * here.reach + 1.0)
                 squares = np.empty(max(len(near.cells), len(wider.cells)))
-            found = wider
-        is_open[point] = _place_back(points[point], tissue, found.cells, found.middles, room, result[point])
+            here = wider
+        # Cells that reach no further than the last of the nearest is away are among these.
+        if found.off > 0.0 and here.size_most >= room.away[_CANDIDATES - 1]:
+            others = _find_others(here, squares, room.nearest)
+            found = _look_in(points[point], tissue, here, others, room, found)
+        is_open[point] = _place_back(points[point], here, tissue.cells, room, found, result[point])
     return wider
 
 
