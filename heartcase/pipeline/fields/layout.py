@@ -15,7 +15,7 @@ from heartcase.compiling.calls import called, copied
 from heartcase.compiling.kernel import loop_kernel
 from heartcase.compiling.tuple_addresses import lend
 from heartcase.pipeline.data import Structures
-from heartcase.pipeline.fields.shapes import SHAPE_KINDS
+from heartcase.pipeline.fields.shapes import SHAPE_KINDS, shape_distance
 from heartcase.pipeline.fields.wall_thickness import ThicknessArrays, thickness_arrays
 from heartcase.pipeline.kernels.parallel import two_workers
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, UInt8
@@ -25,6 +25,8 @@ __all__ = ["ALL_FIELDS", "BLOCK", "FieldLayout", "layout_of", "varying_walls"]
 
 
 INTERLEAVED_PLANES = 2
+SLACK_MM = np.float32(1e-3)
+"""What is interpolated may differ in its last digits."""
 BLOCK = 4
 """Edge, in lattice cells, of the blocks for which it is known which fields matter in them."""
 ALL_FIELDS = 255
@@ -177,6 +179,50 @@ def _interleave(fields: tuple[Float32, ...], stack: Float32) -> None:
         list(pool.map(part, range(0, len(stack), INTERLEAVED_PLANES)))
 
 
+class _Bounds(NamedTuple):
+    """Between what the fields lie anywhere in a block, mm."""
+
+    tissue: np.float32
+    """At most the lowest tissue, walls among them."""
+    void: np.float32
+    """At most the lowest void."""
+    cavity: np.float32
+    """At least every tissue and every void but the background."""
+    background: np.float32
+    """At least the background."""
+    body: np.float32
+    """At most the nearest cavity with a wall, its wall's thickness taken off."""
+
+
+@copied
+def _bounds_of(fields, low, high):
+    """Bounds of a block, from the least and the greatest value of each stored field in it."""
+    infinite = np.float32(np.inf)
+    tissue, cavity, deepest, body, deepest_body = infinite, infinite, infinite, infinite, infinite
+    least, most = -infinite, infinite
+    for s in range(len(low)):
+        slot, wall = fields.stored_slot[s], fields.stored_wall[s]
+        if slot == fields.background:
+            least, most = low[s], high[s]
+            continue
+        deepest = min(deepest, low[s])
+        if slot < fields.tissue_count:
+            tissue = min(tissue, high[s])
+        else:
+            cavity = min(cavity, high[s])
+        if wall >= 0:
+            body = min(body, high[s] - fields.wall_mm[wall])
+            deepest_body = min(deepest_body, low[s] - fields.wall_mm[wall])
+    # A wall is as far as its cavity but for its thickness, and no nearer than the background that it takes.
+    return _Bounds(
+        min(tissue, max(body, most)),
+        min(cavity, max(most, -deepest_body)),
+        min(deepest, deepest_body),
+        least,
+        body,
+    )
+
+
 @called
 def _find_fields_of_layer(fields, block_count, block_fields, bk):
     """Find them in one layer of blocks; see :func:`_find_fields_of_blocks`."""
@@ -184,8 +230,6 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):
     low, high = np.empty(stored, np.float32), np.empty(stored, np.float32)
     for bj in range(block_count.shape[1]):
         for bi in range(block_count.shape[2]):
-            if _is_reshaped(fields, bk, bj, bi):
-                continue
             low[:] = np.inf
             high[:] = -np.inf
             for k in range(bk * BLOCK, min(bk * BLOCK + BLOCK + 1, nz)):
@@ -197,27 +241,26 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):
                             high[s] = max(high[s], row[s])
             if _is_septal(fields, low):
                 continue
-            tissue, void, body = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+            bounds = _bounds_of(fields, low, high)
+            if _is_reshaped(fields, bk, bj, bi, bounds):
+                continue
+            tissue, void = np.float32(np.inf), np.float32(np.inf)
             for s in range(stored):
                 slot = fields.stored_slot[s]
                 if slot < fields.tissue_count:
                     tissue = min(tissue, high[s])
                 elif slot != fields.background:
                     void = min(void, high[s])
-                    if fields.stored_wall[s] >= 0:
-                        body = min(body, high[s] - fields.wall_mm[fields.stored_wall[s]])
-            # what is interpolated may differ in its last digits
-            slack = np.float32(1e-3)
             count = 0
             for s in range(stored):
                 slot = fields.stored_slot[s]
                 if slot < fields.tissue_count:
-                    matters = low[s] <= tissue + slack
+                    matters = low[s] <= tissue + SLACK_MM
                 else:
-                    matters = slot == fields.background or low[s] <= void + slack
+                    matters = slot == fields.background or low[s] <= void + SLACK_MM
                     if fields.stored_wall[s] >= 0:
                         nearest = low[s] - fields.wall_mm[fields.stored_wall[s]]
-                        matters |= nearest <= max(body, np.float32(0.0)) + slack
+                        matters |= nearest <= max(bounds.body, np.float32(0.0)) + SLACK_MM
                 if matters:
                     block_fields[bk, bj, bi, count] = s
                     count += 1
@@ -226,7 +269,7 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):
 
 @loop_kernel
 def _find_fields_of_blocks(layout, block_count, block_fields):
-    """Find the fields that can be lowest anywhere in each block, in blocks that no reshaping and no septum reaches.
+    """Find the fields that can be lowest anywhere in each block, unless a reshaping or a septum may change that.
 
     A tissue, or a cavity, whose least value exceeds the greatest one of another is not the lowest anywhere. A cavity
     matters to the walls where it is not farther, its wall's thickness taken off, than another one is everywhere, and
@@ -240,25 +283,59 @@ def _find_fields_of_blocks(layout, block_count, block_fields):
 @copied
 def _is_septal(layout, low):
     """Whether a septum is looked at anywhere in a block, from the least value of each stored field in it."""
-    slack = np.float32(1e-3)
     for n in range(len(layout.septum_slot)):
         nearest = max(low[layout.septum_first[n]], low[layout.septum_second[n]])
-        if nearest - layout.septum_half_mm[n] <= layout.septum_reach_mm + slack:
+        if nearest - layout.septum_half_mm[n] <= layout.septum_reach_mm + SLACK_MM:
             return True
     return False
 
 
 @copied
-def _is_reshaped(layout, bk, bj, bi):
-    """Whether a reshaping may reach into a block; those at the border hold all that lies beyond."""
-    blocks = layout.block_count.shape
+def _is_reshaped(layout, bk, bj, bi, bounds):
+    """Whether a reshaping may change what is lowest anywhere in a block, or how low it is.
+
+    See :func:`heartcase.pipeline.fields.lattice_kernels._may_change`, which says it of a point.
+    """
     for n in range(len(layout.shape_kind)):
-        apart = False
-        for axis in range(3):
-            b = bi if axis == 0 else (bj if axis == 1 else bk)
-            last = blocks[2 - axis] - 1
-            apart |= b < last and b * BLOCK + BLOCK < layout.shape_low[n, axis]
-            apart |= b > 0 and b * BLOCK > layout.shape_high[n, axis]
-        if not apart:
+        to_others = False
+        for s in range(len(layout.labels)):
+            to_others |= layout.target[n, s] and s != layout.background
+        to_background = layout.target[n, layout.background] and not layout.source[n, layout.background]
+        most = max(bounds.tissue, bounds.void) if to_others else bounds.void
+        least = bounds.cavity if to_background and not to_others else min(bounds.cavity, bounds.background)
+        nearest = _nearest_in_block(layout, n, bk, bj, bi) - SLACK_MM
+        if nearest <= most or nearest < -least:
             return True
     return False
+
+
+@copied
+def _nearest_in_block(layout, n, bk, bj, bi):
+    """No point of a block that a reshaping reaches is nearer to its shape, mm; infinite where it reaches none.
+
+    Blocks at the border hold all that lies beyond.
+    """
+    blocks, m = layout.block_count.shape, layout.to_world
+    box = np.empty((2, 3))
+    for axis in range(3):
+        b = bi if axis == 0 else (bj if axis == 1 else bk)
+        low, high = layout.shape_low[n, axis], layout.shape_high[n, axis]
+        if b > 0:
+            low = max(low, b * BLOCK)
+        if b < blocks[2 - axis] - 1:
+            high = min(high, b * BLOCK + BLOCK)
+        if low > high:
+            return np.inf
+        box[0, axis], box[1, axis] = 0.5 * (low + high), 0.5 * (high - low)
+    # The distance in its middle changes on the way to any of its points by no more than that is long.
+    middle, square = np.empty(3), 0.0
+    for axis in range(3):
+        reach = 0.0
+        middle[axis] = m[axis, 3]
+        for a in range(3):
+            middle[axis] += m[axis, a] * box[0, a]
+            reach += abs(m[axis, a]) * box[1, a]
+        square += reach * reach
+    points = layout.shape_points[layout.shape_first[n] : layout.shape_first[n + 1]]
+    distance = shape_distance(layout.shape_kind[n], points, layout.shape_radius[n], middle[0], middle[1], middle[2])
+    return distance - np.sqrt(square)

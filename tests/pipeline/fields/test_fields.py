@@ -6,13 +6,16 @@ import weakref
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from heartcase.pipeline.data import Reshaping
 from heartcase.pipeline.fields.layout import ALL_FIELDS
 from heartcase.pipeline.fields.reader import FieldReader, forget_layout, ownership_at_points, ownership_on_lattice
 from heartcase.pipeline.warnings import CaseWarning
-from heartcase.schemas.labels import Label, LabelTable, Role
+from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 from tests.pipeline.analytic_structures import cylinder, lattice, structures
+from tests.pipeline.fields.test_lattice_kernels import reshaped
 from tests.pipeline.random_phantoms import random_heart
 
 
@@ -40,6 +43,31 @@ def test_fields_that_are_left_out_change_nothing(seed):
     np.testing.assert_array_equal(short.tissue_mm, full.tissue_mm)
     np.testing.assert_array_equal(short.void_label, full.void_label)
     np.testing.assert_array_equal(short.tissue_label, full.tissue_label)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 11), st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_fields_are_left_out_where_no_reshaping_changes_what_is_lowest(heart, seed, shapes):
+    random = np.random.default_rng(seed)
+    reader = FieldReader.of(reshaped(random_heart(heart).structures, random, shapes))
+    geometry = reader.structures.geometry
+    points = geometry.index_to_world(random.uniform(-8.0, np.array(geometry.size) + 7.0, (20_000, 3)))
+    short, full = (ownership_at_points(one, points) for one in (reader, with_all_fields(reader)))
+    np.testing.assert_array_equal(short.tissue_mm, full.tissue_mm)
+    np.testing.assert_array_equal(short.void_label, full.void_label)
+    np.testing.assert_array_equal(short.tissue_label, full.tissue_label)
+
+
+def test_blocks_in_the_box_of_a_shape_that_it_does_not_reach_are_read_without_it():
+    heart = random_heart(0).structures
+    size = np.array(heart.geometry.size)
+    ends = heart.geometry.index_to_world(np.array([[0.1, 0.1, 0.1], [0.9, 0.9, 0.9]]) * (size - 1))
+    blood = next(label for label in heart.table if label.role.is_blood and label.value in heart.distance_mm)
+    across = Reshaping(
+        "cylinder", tuple(tuple(map(float, end)) for end in ends), 2.0, (blood.name,), (heart.table[BACKGROUND].name,)
+    )
+    reader = FieldReader.of(dataclasses.replace(heart, reshapings=(across,)))
+    assert 0.0 < (reader.layout.block_count == ALL_FIELDS).mean() < 0.3
 
 
 def test_blocks_that_a_reshaping_reaches_hold_all_fields():
