@@ -9,7 +9,8 @@ there is no such triangle: a vertex there follows a face between the tissue cell
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numba
@@ -22,7 +23,7 @@ from heartcase.pipeline.cells.picking import split_faces
 from heartcase.pipeline.cells.ties import Check, NodeTriangles, TieChooser, closest_weights
 from heartcase.pipeline.data import GridMap, SimulationGrid, Structures, Surface
 from heartcase.pipeline.fields.reader import FieldReader, steps_through
-from heartcase.pipeline.kernels.parallel import side_by_side
+from heartcase.pipeline.kernels.parallel import all_side_by_side, side_by_side
 from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
@@ -103,8 +104,46 @@ def map_surface(surface: Surface, grid: SimulationGrid, structures: Structures, 
     if problems:
         raise StageError(problems)
     reader = FieldReader.of(structures)
-    levels = tuple(_map_level(level, grid, reader, settings) for level in surface.levels)
-    return replace(_map_level(surface, grid, reader, settings), levels=levels)
+    cells = _Cells.of(grid)
+    # the finest, which takes longest, beside the others
+    finest, *levels = all_side_by_side(
+        [partial(_map_level, level, cells, reader, settings) for level in (surface, *surface.levels)]
+    )
+    return replace(finest, levels=tuple(levels))
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """What all levels of detail are tied to."""
+
+    grid: SimulationGrid
+    positions_mm: Float64
+    """Of its nodes, shape (node_count, 3)."""
+    neighbours: Int32
+    """Nodes that springs join to each, shape (node_count, 18)."""
+    triangles: Int32
+    """Nodes of the halves of its boundary's faces, shape (any, 3)."""
+    boundary: NodeTriangles
+    """The same where they are."""
+    label: UInt8
+    """Which void each half looks into."""
+
+    @staticmethod
+    def of(grid: SimulationGrid) -> _Cells:
+        """Of a grid."""
+        triangles = split_faces(grid.faces)
+        positions = grid.node_positions_mm()
+        boundary, neighbours = side_by_side(
+            lambda: _triangles_of(grid, triangles, np.repeat(grid.cells[grid.face_cell], 2, axis=0)),
+            lambda: node_neighbours(grid_springs(grid), len(positions)),
+        )
+        return _Cells(grid, positions, neighbours, triangles, boundary, np.repeat(grid.face_label, 2))
+
+
+def _triangles_of(grid: SimulationGrid, nodes: Int32, cells: Int32) -> NodeTriangles:
+    """Triangles of nodes, and the cell behind each."""
+    corners = grid.nodes[nodes].astype(np.float64)
+    return NodeTriangles(corners, triangle_basis(corners)[:, 1], cells)
 
 
 def _not_numbers(surface: Surface, place: str) -> list[Problem]:
@@ -128,14 +167,13 @@ def _is_parallel(cells: Geometry, fields: Geometry) -> bool:
     return True
 
 
-def _map_level(surface: Surface, grid: SimulationGrid, reader: FieldReader, settings: MapSettings) -> GridMap:
+def _map_level(surface: Surface, cells: _Cells, reader: FieldReader, settings: MapSettings) -> GridMap:
     """Tie one level of detail."""
-    positions = grid.node_positions_mm()
+    grid, positions = cells.grid, cells.positions_mm
     vertices = surface.vertices_mm.astype(np.float64)
     normals = surface.normals.astype(np.float64)
-    (triangles, is_inner, is_narrow), (nearest_node, neighbours) = side_by_side(
-        lambda: _choose_triangles(surface, grid, reader, settings),
-        lambda: (_nearest_nodes(surface, grid, positions), node_neighbours(grid_springs(grid), len(positions))),
+    (triangles, is_inner, is_narrow), nearest_node = side_by_side(
+        lambda: _choose_triangles(surface, cells, reader, settings), lambda: _nearest_nodes(surface, grid, positions)
     )
 
     corners = positions[triangles]
@@ -143,7 +181,7 @@ def _map_level(surface: Surface, grid: SimulationGrid, reader: FieldReader, sett
     reference = np.einsum("vc,vcx->vx", weights.astype(np.float64), corners)
     basis = triangle_basis(corners)
     offset = np.einsum("vbx,vx->vb", basis, vertices - reference)
-    flat, curved, aligned = curvature_errors(grid, neighbours, vertices, normals, triangles, weights)
+    flat, curved, aligned = curvature_errors(grid, cells.neighbours, vertices, normals, triangles, weights)
     curvature = ((curved < CURVATURE_GAIN * flat) & (aligned > CURVATURE_ALIGNMENT)).astype(np.uint8)
     far = np.linalg.norm(vertices - reference, axis=1) / grid.geometry.spacing_mm[0]
     warnings: tuple[CaseWarning, ...] = ()
@@ -197,19 +235,12 @@ def triangle_basis(corners: Float64) -> Float64:
 
 
 def _choose_triangles(
-    surface: Surface, grid: SimulationGrid, reader: FieldReader, settings: MapSettings
+    surface: Surface, cells: _Cells, reader: FieldReader, settings: MapSettings
 ) -> tuple[Int32, Bool, Bool]:
     """The triangle of each vertex, whether it lies between cells, and whether no face of its own void is in reach."""
-
-    def triangles_of(nodes: Int32, cells: Int32) -> NodeTriangles:
-        corners = grid.nodes[nodes].astype(np.float64)
-        return NodeTriangles(corners, triangle_basis(corners)[:, 1], cells)
-
+    grid, triangles, at_boundary, label = cells.grid, cells.triangles, cells.boundary, cells.label
     penalty, tries = settings.normal_penalty, settings.candidate_count
     chooser = TieChooser(surface, reader, grid.geometry, penalty=penalty, tries=tries)
-    triangles = split_faces(grid.faces)
-    at_boundary = triangles_of(triangles, np.repeat(grid.cells[grid.face_cell], 2, axis=0))
-    label = np.repeat(grid.face_label, 2)
     everyone = np.arange(len(surface.vertices_mm))
     chosen, own_score = np.full(len(everyone), -1), np.full(len(everyone), np.inf)
 
@@ -232,9 +263,9 @@ def _choose_triangles(
     nodes = triangles[chosen]
     is_inner = np.zeros(len(everyone), np.bool_)
     far = np.flatnonzero(own_score > NEAR_CELLS)
-    inner, cells = _inner_triangles(grid, surface.vertices_mm[far].astype(np.float64))
+    inner, behind = _inner_triangles(grid, surface.vertices_mm[far].astype(np.float64))
     if len(inner):
-        between, among = triangles_of(inner, cells), np.arange(len(inner))
+        between, among = _triangles_of(grid, inner, behind), np.arange(len(inner))
         own, score = chooser.nearest(far, between, among, check=Check.WALLS_GAPS)
         # The cells around a sliver of tissue that fills none of its own carry it too.
         lost = np.flatnonzero((own < 0) & (own_score[far] > FAR_CELLS))
