@@ -138,7 +138,10 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     volume_mm3 = enclosed_volume_mm3(full.vertices_mm, full.triangles)
     source = _Source(structures, reader, full, dropped, creased, mesh, volume_mm3, reach)
     size = settings.normal_map_size if render else 0
-    surface = _finished(source, coarse, settings, size)
+    tagged = _tagged(source, coarse)
+    surface, (levels, lost) = side_by_side(
+        lambda: _finished(source, tagged, settings, size), lambda: _levels(source, tagged, settings, size)
+    )
     quality = surface.quality
     warnings += _shape_warnings(quality, settings.triangle_count)
     if settings.error_mm is not None and quality["distance_p99_mm"] > settings.error_mm:
@@ -152,42 +155,60 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
                 )
             )
         )
-    levels, lost = _levels(source, surface, settings, size)
     return replace(surface, warnings=(*warnings, *lost), levels=levels)
 
 
+@dataclass(frozen=True)
+class _Tagged:
+    """A decimated mesh, as exactly as it is kept, and what its triangles are."""
+
+    coarse: Decimated
+    vertices_mm: Float32
+    """Shape (vertex_count, 3)."""
+    tags: TriangleTags
+    kind: UInt8
+    """Kind of each triangle, shape (triangle_count,)."""
+
+
+def _tagged(source: _Source, coarse: Decimated) -> _Tagged:
+    vertices_mm = coarse.vertices_mm.astype(np.float32)
+    tags = tag_triangles(source.reader, vertices_mm.astype(np.float64), coarse.triangles, source.full.lattice)
+    kind = plain_kinds(tags.void, tags.tissue, tags.is_cut, source.structures.table)
+    return _Tagged(coarse, vertices_mm, tags, kind)
+
+
 def _levels(
-    source: _Source, finest: Surface, settings: SurfaceSettings, size: int
+    source: _Source, finest: _Tagged, settings: SurfaceSettings, size: int
 ) -> tuple[tuple[Surface, ...], tuple[CaseWarning, ...]]:
     """Coarser levels of detail, each decimated from the one before it, and why one is left out."""
     levels: list[Surface] = []
     lost: list[CaseWarning] = []
+    last = finest
     size = max(size // 2, LEAST_MAP_SIZE) if size else 0
     for count in settings.level_counts:
-        last = levels[-1] if levels else finest
-        if count >= len(last.triangles):
+        triangles = last.coarse.triangles
+        if count >= len(triangles):
             continue
         coarse = decimate_soundly(
             last.vertices_mm.astype(np.float64),
-            last.triangles,
-            last.triangle_kind.astype(np.int64) * 256 + last.triangle_label,
+            triangles,
+            last.kind.astype(np.int64) * 256 + last.tags.void,
             triangle_count=count,
             reach_mm=source.reach_mm,
         )
         if len(coarse.crossing_pairs):
             lost.append(note(sentence("level-left-out", triangles=count)))
-        elif len(coarse.triangles) < len(last.triangles):
-            levels.append(_finished(source, coarse, settings, size))
+        elif len(coarse.triangles) < len(triangles):
+            last = _tagged(source, coarse)
+            levels.append(_finished(source, last, settings, size))
     return tuple(levels), tuple(lost)
 
 
-def _finished(source: _Source, coarse: Decimated, settings: SurfaceSettings, size: int) -> Surface:
-    """Tags, normals, atlas and normal map of ``size`` texels of a decimated mesh."""
+def _finished(source: _Source, tagged: _Tagged, settings: SurfaceSettings, size: int) -> Surface:
+    """Normals, atlas and normal map of ``size`` texels of a decimated mesh."""
     reader, full, table = source.reader, source.full, source.structures.table
-    triangles = coarse.triangles
-    vertices_mm = coarse.vertices_mm.astype(np.float32)
-    vertices = vertices_mm.astype(np.float64)
-    tags = tag_triangles(reader, vertices, triangles, full.lattice)
+    coarse, vertices_mm, tags = tagged.coarse, tagged.vertices_mm, tagged.tags
+    triangles, vertices = coarse.triangles, vertices_mm.astype(np.float64)
     normals = _vertex_normals(reader, vertices, triangles, tags.is_cut, source.reach_mm)
     identity = np.arange(len(vertices), dtype=np.int32)
     atlas, quality = side_by_side(
@@ -225,7 +246,7 @@ def _finished(source: _Source, coarse: Decimated, settings: SurfaceSettings, siz
         triangle_label=tags.void,
         triangle_tissue=tags.tissue,
         triangle_is_cut=tags.is_cut.astype(np.uint8),
-        triangle_kind=plain_kinds(tags.void, tags.tissue, tags.is_cut, table),
+        triangle_kind=tagged.kind,
         normals=normals,
         vertex_label=_vertex_labels(vertices, triangles, tags.void),
         table=table,
