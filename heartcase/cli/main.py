@@ -61,6 +61,11 @@ _FOLDERS = (
 )
 """Folder of the module of a command's name, where it is not ``commands``."""
 
+_ANSWERING = {"studio", "paint"} | {name for name, folder in _FOLDERS.items() if folder == "sessions"}
+"""Commands that answer somebody while they run, where one long search for cycles would be noticed."""
+_NEW_OBJECTS = 50_000
+"""Objects after which the others look for cycles among the new ones. What imports and stages make stays: to
+search it after each 700, as Python does, is a thirtieth of a build."""
 INTERNAL_ERROR = 70
 """Exit code of what should not happen (EX_SOFTWARE of sysexits)."""
 
@@ -96,6 +101,8 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
+        if name not in _ANSWERING:
+            gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
         folder, file = _FOLDERS.get(name, "commands"), name.replace("-", "_")
         module = importlib.import_module(f"heartcase.cli.{folder}.{file}")
         command: click.Command = module.command
@@ -131,6 +138,7 @@ def main(arguments: Sequence[str] | None = None, *, command: click.Command = cli
     command_starts()
     # What the process holds when it ends is not searched for cycles, which takes half a second after a build.
     atexit.register(gc.freeze)
+    thresholds = gc.get_threshold()
     try:
         args = None if arguments is None else list(arguments)
         code = command.main(args=args, prog_name=name, standalone_mode=False)
@@ -163,6 +171,8 @@ def main(arguments: Sequence[str] | None = None, *, command: click.Command = cli
         message = f"something unforeseen happened ({type(error).__name__} in {place}): this is a fault of heartcase"
         _show(HeartcaseError(f"{message}; set HEARTCASE_DEBUG=1 to see where, and report it"))
         return INTERNAL_ERROR
+    finally:
+        gc.set_threshold(*thresholds)
     return code if isinstance(code, int) else 0
 
 
