@@ -62,7 +62,7 @@ _FOLDERS = (
 """Folder of the module of a command's name, where it is not ``commands``."""
 
 _ANSWERING = {"studio", "paint"} | {name for name, folder in _FOLDERS.items() if folder == "sessions"}
-"""Commands that answer somebody while they run, where one long search for cycles would be noticed."""
+"""Commands that move tissue or answer somebody while they run, where one long search for cycles would be noticed."""
 _NEW_OBJECTS = 50_000
 """Objects after which the others look for cycles among the new ones. What imports and stages make stays: to
 search it after each 700, as Python does, is a thirtieth of a build."""

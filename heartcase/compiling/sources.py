@@ -95,7 +95,7 @@ def _files() -> dict[str, str]:
                     found.setdefault(name, entry.path)
                 elif kind == ".py":
                     found[f"{name}.{stem}"] = entry.path
-                elif not kind and stem.isidentifier() and entry.is_dir():
+                elif not kind and stem.isidentifier() and entry.is_dir(follow_symlinks=False):
                     folders.append((entry.path, f"{name}.{stem}"))
     return found
 
@@ -105,5 +105,6 @@ def _read(file: str, module: str) -> tuple[bytes, tuple[str, ...]]:
     """Digest of a module's file, and which modules it imports; read once, as Python itself reads a module once."""
     with open(file, "rb") as opened:
         content = opened.read()
-    names = imported_modules(content.decode(), module)
+    is_package = os.path.basename(file) == "__init__.py" and not module.endswith(".__init__")
+    names = imported_modules(content.decode(), f"{module}.__init__" if is_package else module)
     return hashlib.sha256(content).digest(), tuple(name for name in names if name in _files())

@@ -130,3 +130,17 @@ def test_what_a_module_that_is_gone_left_in_the_cache_is_compiled_anew(package):
         kept.write_bytes(kept.read_bytes()[: kept.stat().st_size // 2])
     assert run(package, code)[3:] == [4.0, 0]
     assert run(package, code)[3:] == [4.0, 1]
+
+
+def test_what_a_folder_imports_from_beside_itself_is_looked_at(package):
+    folder = package / "heartcase" / "simulator" / "probe_folder"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("from .inner import f\n")
+    (folder / "inner.py").write_text("f = 1\n")
+    (package / "heartcase" / "loop").symlink_to(package, target_is_directory=True)
+    (package / "user.py").write_text("from heartcase.simulator.probe_folder import f\n")
+    say = "from heartcase.compiling.sources import source_stamp; print(int.from_bytes(source_stamp('user.py')[:6]))"
+    before = run(package, say)
+    assert run(package, say) == before
+    (folder / "inner.py").write_text("f = 2\n")
+    assert run(package, say) != before

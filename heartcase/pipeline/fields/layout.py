@@ -26,7 +26,7 @@ __all__ = ["ALL_FIELDS", "BLOCK", "FieldLayout", "layout_of", "varying_walls"]
 
 INTERLEAVED_PLANES = 2
 SLACK_MM = np.float32(1e-3)
-"""What is interpolated may differ in its last digits."""
+"""Tolerance of comparisons: what is interpolated may differ in its last digits."""
 BLOCK = 4
 """Edge, in lattice cells, of the blocks for which it is known which fields matter in them."""
 ALL_FIELDS = 255
@@ -180,18 +180,18 @@ def _interleave(fields: tuple[Float32, ...], stack: Float32) -> None:
 
 
 class _Bounds(NamedTuple):
-    """Between what the fields lie anywhere in a block, mm."""
+    """Bounds of the fields that hold everywhere in a block, mm."""
 
     tissue: np.float32
-    """At most the lowest tissue, walls among them."""
+    """The lowest tissue, walls among them, is at most this."""
     void: np.float32
-    """At most the lowest void."""
+    """The lowest void is at most this."""
     cavity: np.float32
-    """At least every tissue and every void but the background."""
+    """Every tissue, and every void but the background, is at least this."""
     background: np.float32
-    """At least the background."""
+    """The background is at least this."""
     body: np.float32
-    """At most the nearest cavity with a wall, its wall's thickness taken off."""
+    """The nearest cavity with a wall, its wall's thickness taken off, is at most this."""
 
 
 @copied

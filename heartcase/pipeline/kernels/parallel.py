@@ -7,7 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 import numba
@@ -77,7 +77,7 @@ def background_worker(name: str = "") -> ThreadPoolExecutor:
     """A pool of one thread for work that is waited for last.
 
     Where there are few cores it takes what others leave idle of them, and its kernels use no other thread: so what is
-    waited for first is there sooner, and all of it no later. With more cores there is room for both.
+    waited for first is there sooner. With more cores there is room for both.
     """
     return ThreadPoolExecutor(1, name, initializer=_begin_in_background, initargs=(numba.get_num_threads(),))
 
@@ -86,8 +86,9 @@ def _begin_in_background(thread_count: int) -> None:
     has_few = thread_count <= _FEW_CORES
     numba.set_num_threads(1 if has_few else thread_count)
     if has_few and sys.platform == "linux":
-        # There it holds for the calling thread alone.
-        os.nice(_NICENESS)
+        # There it holds for the calling thread alone. Where it is not allowed, all is done but later.
+        with suppress(OSError):
+            os.nice(_NICENESS)
 
 
 @contextmanager

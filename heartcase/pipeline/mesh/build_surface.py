@@ -8,6 +8,7 @@ shrinks, but along creases, where marching cubes leaves saw teeth: there it is, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -139,9 +140,16 @@ def build_surface(structures: Structures, settings: SurfaceSettings, *, render: 
     source = _Source(structures, reader, full, dropped, creased, mesh, volume_mm3, reach)
     size = settings.normal_map_size if render else 0
     tagged = _tagged(source, coarse)
-    surface, (levels, lost) = side_by_side(
-        lambda: _finished(source, tagged, settings, size), lambda: _levels(source, tagged, settings, size)
-    )
+    ended: list[BaseException] = []
+
+    def finest() -> Surface:
+        try:
+            return _finished(source, tagged, settings, size)
+        except BaseException as error:
+            ended.append(error)
+            raise
+
+    surface, (levels, lost) = side_by_side(finest, lambda: _levels(source, tagged, settings, size, lambda: not ended))
     quality = surface.quality
     warnings += _shape_warnings(quality, settings.triangle_count)
     if settings.error_mm is not None and quality["distance_p99_mm"] > settings.error_mm:
@@ -178,16 +186,19 @@ def _tagged(source: _Source, coarse: Decimated) -> _Tagged:
 
 
 def _levels(
-    source: _Source, finest: _Tagged, settings: SurfaceSettings, size: int
+    source: _Source, finest: _Tagged, settings: SurfaceSettings, size: int, is_wanted: Callable[[], bool]
 ) -> tuple[tuple[Surface, ...], tuple[CaseWarning, ...]]:
-    """Coarser levels of detail, each decimated from the one before it, and why one is left out."""
+    """Coarser levels of detail, each decimated from the one before it, and why one is left out.
+
+    No further one is begun once they are not wanted any more.
+    """
     levels: list[Surface] = []
     lost: list[CaseWarning] = []
     last = finest
     size = max(size // 2, LEAST_MAP_SIZE) if size else 0
     for count in settings.level_counts:
         triangles = last.coarse.triangles
-        if count >= len(triangles):
+        if count >= len(triangles) or not is_wanted():
             continue
         coarse = decimate_soundly(
             last.vertices_mm.astype(np.float64),

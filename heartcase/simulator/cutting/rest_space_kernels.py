@@ -21,7 +21,9 @@ _AVERAGED = 8
 _BESIDE = 0.6
 """How far from its centre along an axis a place still belongs to a cell [edges]."""
 _ROUNDS = 12
-"""Of Newton's method at most: a cell in which it is not there by then does not hold the place."""
+"""Of Newton's method at most: a cell in which it is not there by then is taken not to hold the place."""
+_OUTSIDE_MOST = 3
+"""Steps of it that may go too far, beyond the surroundings of a cell, before it is given up there."""
 _STEP_LEAST = 1e-5
 """A step of it after which it is there: the next one would be about its square [edges]."""
 _TOUCHING = 0.1
@@ -59,7 +61,7 @@ class Near(NamedTuple):
     middles: Float64
     """Where their middles are now [cells], along x, y and z, shape (3, count)."""
     sizes: Float64
-    """Square of how far their corners are from there at most, up to a limit [cells^2], shape (count,)."""
+    """Square of how far their corners are from there at most, up to that of _REACH_MOST [cells^2], shape (count,)."""
     size_most: float
     """The largest of these; zero where there is no cell."""
     reach: float
@@ -72,6 +74,7 @@ def _local_place(point, tissue, cell, local):
     nodes, displacement, corners = tissue.corners[cell], tissue.displacement, tissue.offsets
     cx, cy, cz = tissue.cells[cell, 0] + 0.5, tissue.cells[cell, 1] + 0.5, tissue.cells[cell, 2] + 0.5
     lx = ly = lz = 0.0
+    outside = 0
     for _ in range(_ROUNDS):
         gx, gy, gz = cx + lx - point[0], cy + ly - point[1], cz + lz - point[2]
         ax = by = cw = 1.0
@@ -107,9 +110,12 @@ def _local_place(point, tissue, cell, local):
         lx, ly, lz = lx - dx, ly - dy, lz - dz
         size = max(abs(lx), abs(ly), abs(lz))
         if size > 1.0:
-            # Beside the cell its displacements are no guide.
-            return np.inf
-        if max(abs(dx), abs(dy), abs(dz)) < _STEP_LEAST:
+            # Beside the cell its displacements are no guide: back to its surroundings.
+            outside += 1
+            if outside > _OUTSIDE_MOST:
+                return np.inf
+            lx, ly, lz = min(max(lx, -1.0), 1.0), min(max(ly, -1.0), 1.0), min(max(lz, -1.0), 1.0)
+        elif max(abs(dx), abs(dy), abs(dz)) < _STEP_LEAST:
             local[0], local[1], local[2] = lx, ly, lz
             return size
     return np.inf

@@ -202,6 +202,16 @@ def test_a_blade_cuts_what_it_meets_where_tissue_is_pulled_long_and_thin(seed, l
     np.testing.assert_allclose(found, at, atol=1e-4)
 
 
+def test_a_place_in_a_bent_cell_is_found_where_a_step_towards_it_goes_too_far():
+    model = block(7, 6, 5)
+    displacement = np.random.default_rng(46).normal(0, 0.25, (model.node_count, 3)).astype(np.float32)
+    inside = np.array([0.01627506, 0.87868984, 0.05712053])
+    weight = np.where(CORNER_OFFSETS == 1, inside, 1 - inside).prod(axis=1)
+    at = model.cells[162] + inside
+    now = at + weight @ displacement[model.cell_corners[162]].astype(float)
+    np.testing.assert_allclose(places_at_rest(model, displacement, now)[0], at, atol=1e-4)
+
+
 def test_a_blade_is_refined_along_both_of_its_ways():
     poses = np.array([[[0.0, 0, 0], [3, 0, 0], [3, 1, 0]], [[0, 0, 2], [3, 0, 2], [3, 1, 2.2]]])
     finer = refined(poses)
