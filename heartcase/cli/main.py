@@ -101,8 +101,6 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        if name not in _ANSWERING:
-            gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
         folder, file = _FOLDERS.get(name, "commands"), name.replace("-", "_")
         module = importlib.import_module(f"heartcase.cli.{folder}.{file}")
         command: click.Command = module.command
@@ -139,8 +137,10 @@ def main(arguments: Sequence[str] | None = None, *, command: click.Command = cli
     # What the process holds when it ends is not searched for cycles, which takes half a second after a build.
     atexit.register(gc.freeze)
     thresholds = gc.get_threshold()
+    args = sys.argv[1:] if arguments is None else list(arguments)
+    if args and args[0] in COMMANDS and args[0] not in _ANSWERING:
+        gc.set_threshold(_NEW_OBJECTS, *thresholds[1:])
     try:
-        args = None if arguments is None else list(arguments)
         code = command.main(args=args, prog_name=name, standalone_mode=False)
     except click.exceptions.Abort:
         click.echo("heartcase: interrupted; nothing half-written was left", err=True)
