@@ -161,8 +161,8 @@ def test_a_story_by_mouse(chromium, operated):
         hands.drag((14.0, -14.0, 40.5), (14.0, -14.0, 40.5))
         tab.mouse.up()
         header = hands.until(lambda header: header["mode"] == "running")
-        # The hand of the recording holds where it was left, until it is let go. Where only the mouse's is left, which is
-        # letting go by itself, the button does nothing.
+        # The hand of the recording holds where it was left, until it is let go. Where only the mouse's is there, which
+        # lets go by itself, the button may do nothing.
         if header["instruments"]:
             tab.locator("#let-go").evaluate("(button) => button.click()")
         header = hands.until(lambda header: not header["instruments"])
