@@ -65,7 +65,7 @@ _ANSWERING = {"studio", "paint"} | {name for name, folder in _FOLDERS.items() if
 """Commands that move tissue or answer somebody while they run, where one long search for cycles would be noticed."""
 _NEW_OBJECTS = 50_000
 """Objects after which the others look for cycles among the new ones. What imports and stages make stays: to
-search it after each 700, as Python does, is a thirtieth of a build."""
+search it as often as Python does by itself is a thirtieth of a build."""
 INTERNAL_ERROR = 70
 """Exit code of what should not happen (EX_SOFTWARE of sysexits)."""
 

@@ -244,20 +244,13 @@ def _find_fields_of_layer(fields, block_count, block_fields, bk):
             bounds = _bounds_of(fields, low, high)
             if _is_reshaped(fields, bk, bj, bi, bounds):
                 continue
-            tissue, void = np.float32(np.inf), np.float32(np.inf)
-            for s in range(stored):
-                slot = fields.stored_slot[s]
-                if slot < fields.tissue_count:
-                    tissue = min(tissue, high[s])
-                elif slot != fields.background:
-                    void = min(void, high[s])
             count = 0
             for s in range(stored):
                 slot = fields.stored_slot[s]
                 if slot < fields.tissue_count:
-                    matters = low[s] <= tissue + SLACK_MM
+                    matters = low[s] <= bounds.tissue + SLACK_MM
                 else:
-                    matters = slot == fields.background or low[s] <= void + SLACK_MM
+                    matters = slot == fields.background or low[s] <= bounds.void + SLACK_MM
                     if fields.stored_wall[s] >= 0:
                         nearest = low[s] - fields.wall_mm[fields.stored_wall[s]]
                         matters |= nearest <= max(bounds.body, np.float32(0.0)) + SLACK_MM
