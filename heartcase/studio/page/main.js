@@ -24,6 +24,7 @@ import { runPreview } from "./shaping/preview.js";
 import { ShapePanel } from "./shaping/panel.js";
 import { Shaping } from "./shaping/shaping.js";
 import { Shortcuts } from "./tools/shortcuts.js";
+import { Steps } from "./tools/steps.js";
 import { runTurning } from "./tools/turning.js";
 
 /** @typedef {import("./shared/connection.js").Message} Message */
@@ -47,7 +48,10 @@ function run() {
   url.search = url.hash = "";
   const connection = new Connection(url.href, (message) => hear(message), (message) => receive(message), (error) => fault(error));
   const status = new Status(document, studio, views, connection);
-  const brush = new Brush(studio, (request) => connection.ask(request), (problems) => status.refused(problems));
+  const brush = new Brush(studio, (request) => connection.ask(request), (problems) => {
+    steps.drop();
+    status.refused(problems);
+  });
   const pointers = new Pointers(views, studio, brush, measures);
   runTurning(views, studio, () => void (studio.tool.value === "shape" && hands.placeAtCrosshair()));
   const shaping = new Shaping((request) => connection.ask(request), (error) => fault(error));
@@ -74,16 +78,14 @@ function run() {
   const parts = { place: find("place"), right: find("place-right"), checklist: find("checklist") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
 
-  /** @param {"undo" | "redo"} what */
-  const step = (what) => {
-    const count = what === "undo" ? studio.undoCount : studio.redoCount;
-    if (!studio.ready.value || brush.isBusy || count.value === 0) return;
+  const askStep = (/** @type {{do: "undo" | "redo"}} */ request) => {
     status.clear();
-    connection.ask({ do: what }).catch((error) => fault(error));
+    return connection.ask(request);
   };
+  const steps = new Steps(studio, brush, askStep, (error) => fault(error));
   const actions = {
-    undo: () => step("undo"),
-    redo: () => step("redo"),
+    undo: () => steps.take("undo"),
+    redo: () => steps.take("redo"),
     nextPlace: () => void guide.next(),
     placeRight: () => void guide.confirm(),
     fit: () => views.fit(),
@@ -117,6 +119,7 @@ function run() {
   connection.state.listen((state) => {
     if (state === "open") return;
     studio.ready.value = false;
+    steps.drop();
     pointers.letGo();
   });
 
