@@ -34,13 +34,11 @@ class Step:
     def carried(self, state: State) -> State:
         """A state of the lattice before: copies lie, and go, where their node does.
 
-        A node that takes over tissue of several goes on with the momentum that this had.
+        A node that takes over tissue of several lies at the centre of its mass, and goes on with its momentum.
         """
         found = self.descent
         carried = state.of_nodes(found.node_before)
-        return carried.with_velocities(
-            found.mixed, state.velocities_of(found.mixed_before) * found.mixed_share[:, None]
-        )
+        return carried.with_means_of(state, found.mixed, found.mixed_before, found.mixed_share)
 
     def joined(self, springs: ExplicitSprings) -> ExplicitSprings:
         """Explicit springs of the lattice before, which hold on to the heaviest copies of their nodes."""

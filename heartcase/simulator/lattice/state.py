@@ -36,24 +36,35 @@ class State:
         """The state of a lattice whose nodes lie, and go, where some nodes of this one do, shape (count,)."""
         return State(_rows_of(self.displacement, nodes), _rows_of(self.velocity, nodes), self.step_count)
 
-    def velocities_of(self, nodes: Int64) -> Float64:
-        """Velocity of some nodes, with all digits that are known [cells per unit of time], shape (count, 3)."""
-        return self.velocity[nodes].astype(np.float64)
-
-    def with_velocities(self, nodes: Int64, parts: Float64) -> State:
-        """The same with the velocity of some nodes replaced by the sum of parts [cells per unit of time].
+    def with_means_of(self, before: State, nodes: Int64, nodes_before: Int64, shares: Float64) -> State:
+        """The same with some nodes where the means of others lie, and going as these go.
 
         Parameters
         ----------
-        nodes, parts
-            Node of each part, ascending, and the parts, shapes (count,) and (count, 3).
+        before
+            State that the others are nodes of; one of this kind.
+        nodes, nodes_before, shares
+            Node here that each of the others counts for, ascending; the others; and their share of it. Shapes (count,);
+            the shares of each node add up to 1.
         """
         if not len(nodes):
             return self
-        velocity = self.velocity.copy()
         chosen, first = np.unique(nodes, return_index=True)
-        velocity[chosen] = np.add.reduceat(parts, first)
-        return State(self.displacement, velocity, self.step_count)
+        found = []
+        for own, others in zip(self._all_digits, before._all_digits, strict=True):
+            rows = own.copy()
+            rows[chosen] = np.add.reduceat(others[nodes_before] * shares[:, None], first)
+            found.append(rows)
+        return self._rounded(*found)
+
+    @property
+    def _all_digits(self) -> tuple[Float64, Float64]:
+        """Displacement and velocity, with all digits that are known."""
+        return self.displacement.astype(np.float64), self.velocity.astype(np.float64)
+
+    def _rounded(self, displacement: Float64, velocity: Float64) -> State:
+        """A state of this kind at the same time."""
+        return State(displacement.astype(np.float32), velocity.astype(np.float32), self.step_count)
 
 
 @dataclass(frozen=True)
@@ -80,18 +91,12 @@ class PreciseState(State):
         """The same of some nodes."""
         return PreciseState.of(self.precise_displacement[nodes], self.precise_velocity[nodes], self.step_count)
 
-    def velocities_of(self, nodes: Int64) -> Float64:
-        """Velocity of some nodes."""
-        return self.precise_velocity[nodes]
+    @property
+    def _all_digits(self) -> tuple[Float64, Float64]:
+        return self.precise_displacement, self.precise_velocity
 
-    def with_velocities(self, nodes: Int64, parts: Float64) -> State:
-        """The same with the velocity of some nodes replaced by the sum of parts."""
-        if not len(nodes):
-            return self
-        velocity = self.precise_velocity.copy()
-        chosen, first = np.unique(nodes, return_index=True)
-        velocity[chosen] = np.add.reduceat(parts, first)
-        return PreciseState.of(self.precise_displacement, velocity, self.step_count)
+    def _rounded(self, displacement: Float64, velocity: Float64) -> State:
+        return PreciseState.of(displacement, velocity, self.step_count)
 
 
 @kernel

@@ -143,8 +143,7 @@ function run() {
     }
     else if (message.kind === "states") structures.tellStates(message.states ?? {});
     else if (message.kind === "done") {
-      studio.undoCount.value = message.undo_count;
-      studio.redoCount.value = message.redo_count;
+      steps.tell(message.undo_count, message.redo_count);
       studio.undoKind.value = message.undo_kind;
       studio.redoKind.value = message.redo_kind;
       studio.saved.value = message.saved;
@@ -172,8 +171,7 @@ function run() {
       studio.window.value = { ...message.window };
       studio.picked.value = message.labels.find((/** @type {{role: string}} */ one) => one.role !== "background")?.value ?? null;
     }
-    studio.undoCount.value = message.undo_count;
-    studio.redoCount.value = message.redo_count;
+    steps.tell(message.undo_count, message.redo_count);
     studio.undoKind.value = message.undo_kind;
     studio.redoKind.value = message.redo_kind;
     studio.saved.value = message.saved;

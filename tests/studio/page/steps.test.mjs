@@ -9,8 +9,6 @@ import { Steps } from "../../../heartcase/studio/page/tools/steps.js";
 function scene(undoCount = 2, redoCount = 0) {
   const studio = new Studio();
   studio.ready.value = true;
-  studio.undoCount.value = undoCount;
-  studio.redoCount.value = redoCount;
   const brush = { isBusy: false, isDown: false };
   const sent = [];
   const answers = [];
@@ -20,6 +18,7 @@ function scene(undoCount = 2, redoCount = 0) {
     return new Promise((resolve, reject) => answers.push({ resolve, reject }));
   };
   const steps = new Steps(studio, brush, ask, (error) => faults.push(error));
+  steps.tell(undoCount, redoCount);
   const settle = () => new Promise((resolve) => setImmediate(resolve));
   return { studio, brush, sent, answers, faults, steps, settle };
 }
@@ -31,6 +30,23 @@ test("redo pressed before undo was answered is sent after it", () => {
   steps.take("redo");
   assert.deepEqual(sent, ["undo", "redo"]);
   assert.deepEqual([studio.undoCount.value, studio.redoCount.value], [2, 0]);
+});
+
+test("the answer to what was asked before an undo does not hide it", async () => {
+  const { steps, sent, studio, answers, settle } = scene(2, 0);
+  steps.take("undo");
+  steps.tell(3, 0);
+  assert.deepEqual([studio.undoCount.value, studio.redoCount.value], [2, 1]);
+  steps.take("redo");
+  assert.deepEqual(sent, ["undo", "redo"]);
+  steps.tell(2, 1);
+  answers[0].resolve({});
+  await settle();
+  assert.deepEqual([studio.undoCount.value, studio.redoCount.value], [3, 0]);
+  steps.tell(3, 0);
+  answers[1].resolve({});
+  await settle();
+  assert.deepEqual([studio.undoCount.value, studio.redoCount.value], [3, 0]);
 });
 
 test("no more is taken back than there is", () => {
@@ -47,7 +63,7 @@ test("what is pressed while a stroke waits for its answer is done after it", asy
   steps.take("undo");
   await settle();
   assert.deepEqual(sent, []);
-  studio.undoCount.value = 1;
+  steps.tell(1, 0);
   brush.isBusy = false;
   studio.stroke.value = null;
   await settle();

@@ -6,6 +6,9 @@
 export class Steps {
   /** Steps that wait for strokes to be sent and answered. @type {("undo" | "redo")[]} */
   #waiting = [];
+  /** So many more can be undone than the server said last, and so many fewer redone: by steps that it has not answered. */
+  #ahead = 0;
+  #told = { undo: 0, redo: 0 };
 
   /**
    * @param {Studio} studio
@@ -30,6 +33,12 @@ export class Steps {
     this.#go();
   }
 
+  /** What the server says can be undone and redone, after all that it has answered. @param {number} undo @param {number} redo */
+  tell(undo, redo) {
+    this.#told = { undo, redo };
+    this.#count();
+  }
+
   /** What waits is not wanted any more: its stroke was refused, or the connection is gone. */
   drop() {
     this.#waiting = [];
@@ -42,16 +51,21 @@ export class Steps {
 
   /** @param {"undo" | "redo"} what */
   #send(what) {
-    const { undoCount, redoCount } = this.studio;
-    const [from, to] = what === "undo" ? [undoCount, redoCount] : [redoCount, undoCount];
-    if (!this.studio.ready.value || from.value === 0) return;
-    // Counted before the answer comes, which has the true numbers: the next key finds what it asks for.
-    from.value -= 1;
-    to.value += 1;
-    this.ask({ do: what }).catch((error) => {
-      from.value += 1;
-      to.value -= 1;
-      this.fault(error);
-    });
+    const { ready, undoCount, redoCount } = this.studio;
+    if (!ready.value || (what === "undo" ? undoCount : redoCount).value <= 0) return;
+    const by = what === "undo" ? -1 : 1;
+    this.#ahead += by;
+    this.#count();
+    this.ask({ do: what })
+      .catch(this.fault)
+      .finally(() => {
+        this.#ahead -= by;
+        this.#count();
+      });
+  }
+
+  #count() {
+    this.studio.undoCount.value = Math.max(this.#told.undo + this.#ahead, 0);
+    this.studio.redoCount.value = Math.max(this.#told.redo - this.#ahead, 0);
   }
 }
