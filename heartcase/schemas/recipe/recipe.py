@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 import tomllib
 from collections.abc import Collection, Mapping
 from enum import StrEnum
@@ -37,6 +36,7 @@ from heartcase.schemas.recipe.settings import (
     SurfaceSettings,
     WallsSettings,
 )
+from heartcase.schemas.toml_problems import toml_problem
 
 __all__ = [
     "RECIPE_VERSION",
@@ -382,7 +382,7 @@ def parse_recipe(text: str, *, needs_markers: bool = True) -> Recipe:
     try:
         data: dict[str, Any] = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise RecipeError(f"this is not valid TOML: {error}{_toml_hint(text, error)}", place="recipe") from None
+        raise RecipeError(toml_problem(text, error), place="recipe") from None
     data, _ = RECIPE.migrated(data)
     fill_unset(data)
     try:
@@ -415,21 +415,6 @@ def _hidden_problems(data: dict[str, Any], error: ValidationError, needs_markers
     except ValidationError as hidden:
         return problems_from_validation(hidden, model=Recipe)
     return ()
-
-
-def _toml_hint(text: str, error: tomllib.TOMLDecodeError) -> str:
-    """What was probably meant, from the line that the parser stumbled over."""
-    found = re.search(r"line (\d+)", str(error))
-    line = text.splitlines()[int(found.group(1)) - 1] if found and text else ""
-    if "\\" in line:
-        return "; write paths with / instead of \\, or in 'single quotes'"
-    if line.count('"') % 2:
-        return '; a " is missing in this line'
-    if re.match(r"\s*\w+\s*=\s*[A-Za-z]", line) and not re.match(r"\s*\w+\s*=\s*(true|false|nan|inf)\b", line):
-        return '; text needs "quotation marks"'
-    if re.search(r"\d,\d", line):
-        return "; decimals are written with a point: 1.5"
-    return ""
 
 
 def load_recipe(path: Path | str) -> Recipe:

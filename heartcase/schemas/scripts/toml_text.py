@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from heartcase.schemas.errors import ScriptError, problems_from_validation
 from heartcase.schemas.migrate import VersionedFormat
+from heartcase.schemas.toml_problems import toml_problem
 
 __all__ = ["checked_toml", "text_of"]
 
@@ -59,7 +60,7 @@ def checked_toml(
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ScriptError(f"this is not valid TOML: {error}", place=place) from None
+        raise ScriptError(toml_problem(text, error), place=place) from None
     message = wrong(data)
     if message is not None:
         raise ScriptError(message, place=place)

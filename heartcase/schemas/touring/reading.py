@@ -15,6 +15,7 @@ from heartcase.schemas.errors import HeartcaseError, Problem, ScriptError, probl
 from heartcase.schemas.migrate import TOUR
 from heartcase.schemas.scripts.toml_text import text_of
 from heartcase.schemas.toml_places import toml_places
+from heartcase.schemas.toml_problems import toml_problem
 from heartcase.schemas.touring.text import Block, Choice, Listing, Paragraph, Piece, Question
 from heartcase.schemas.touring.tour import Scene, Tour, TourAct, TourHead, TourStep, act_problems, parse_act
 
@@ -108,7 +109,7 @@ class _Reader:
             data = tomllib.loads(text)
             return TourHead.model_validate(TOUR.migrated(data)[0])
         except tomllib.TOMLDecodeError as error:
-            self._toml_problem(error, 2)
+            self._toml_problem(text, error, 2)
         except ValidationError as error:
             for problem in problems_from_validation(error, model=TourHead):
                 self._tell(_line_of(text, problem.place, 2), problem)
@@ -195,7 +196,7 @@ class _Reader:
         try:
             data = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
-            self._toml_problem(error, first, step)
+            self._toml_problem(text, error, first, step)
             return
         done = data.pop("do", [])
         found = self._checked(Scene, data, first, text, step)
@@ -317,10 +318,10 @@ class _Reader:
                 self._tell(_line_of(text, problem.place, first) if text else first, problem, step)
         return []
 
-    def _toml_problem(self, error: tomllib.TOMLDecodeError, first: int, step: _Step | None = None) -> None:
+    def _toml_problem(self, text: str, error: tomllib.TOMLDecodeError, first: int, step: _Step | None = None) -> None:
         at = _ABOUT_LINE.search(str(error))
-        words = _ABOUT_LINE.sub("", str(error))
-        self._say(first + (int(at[1]) - 1 if at else 0), f"this is not valid TOML: {words}", step)
+        words = _ABOUT_LINE.sub("", toml_problem(text, error))
+        self._say(first + (int(at[1]) - 1 if at else 0), words, step)
 
     def _say(self, line: int, message: str, step: _Step | None = None) -> None:
         self._tell(line, Problem("", message), step)
