@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.checked import check_fit
 from heartcase.simulator.coming_cuts import CutsAhead, CutTissue, cut_tissue
 from heartcase.simulator.cutting.blade_sheet import Poses, blade_points, checked_poses
 from heartcase.simulator.cutting.cuts import Cuts, Step
@@ -54,7 +55,7 @@ class MovingTissue:
     Raises
     ------
     SimulationError
-        The step is beyond the lattice's own limit, or there is no such backend.
+        The step is beyond the lattice's own limit, there is no such backend, or a surface is of another lattice.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class MovingTissue:
         backend: Backend,
         skips_unmoved: bool,
     ) -> None:
+        check_fit(model, surface, picking, tissue)
         self.model = model
         self.surface = self._whole_surface = surface
         self.picking = self._whole_picking = picking

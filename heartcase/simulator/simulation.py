@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
+from heartcase.simulator.checked import checked_gravity, checked_steps
 from heartcase.simulator.cutting.cuts import Step
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
@@ -20,8 +21,8 @@ from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
 from heartcase.simulator.instruments.held_tissue import on_side_at
 from heartcase.simulator.instruments.one_sided import OneSidedGrab
-from heartcase.simulator.instruments.placing import is_point, point_in_lattice
-from heartcase.simulator.instruments.probe import Probe, make_probe
+from heartcase.simulator.instruments.placing import is_number, is_point, point_in_lattice
+from heartcase.simulator.instruments.probe import Probe, make_probe, require_probe
 from heartcase.simulator.instruments.scissors import Scissors
 from heartcase.simulator.instruments.wrench import Instrument, Wrench, wrench_on
 from heartcase.simulator.lattice.model import LatticeModel
@@ -74,7 +75,8 @@ class Simulation(PatchedTissue, OperatedTissue):
     Raises
     ------
     SimulationError
-        The step is beyond the lattice's own limit, the damping out of range, or there is no such backend.
+        The step is beyond the lattice's own limit, the damping or gravity out of range, a surface of another lattice,
+        or there is no such backend.
     """
 
     def __init__(
@@ -108,7 +110,7 @@ class Simulation(PatchedTissue, OperatedTissue):
         if not 0.0 <= sleep_mm < np.inf:
             raise SimulationError(f"a movement of {sleep_mm} mm cannot be left out: give 0 or more", place="sleep_mm")
         self.damping_per_s = float(damping_per_s)
-        self.gravity_m_s2 = (float(gravity_m_s2[0]), float(gravity_m_s2[1]), float(gravity_m_s2[2]))
+        self.gravity_m_s2 = checked_gravity(gravity_m_s2)
         self.sleep_mm = float(sleep_mm)
         self.grabs: list[Grab] = []
         self.probes: list[Probe] = []
@@ -116,7 +118,7 @@ class Simulation(PatchedTissue, OperatedTissue):
         self.stitches = []
         self.patches = []
         units = model.units
-        gravity = np.asarray(gravity_m_s2) @ model.geometry.direction_matrix / units.acceleration_m_s2
+        gravity = np.array(self.gravity_m_s2) @ model.geometry.direction_matrix / units.acceleration_m_s2
         step = self.step_s / units.time_s
         rate = 2.0 * np.pi * SLEEP_HZ * units.time_s
         still = sleep_mm / model.cell_mm * rate
@@ -163,9 +165,12 @@ class Simulation(PatchedTissue, OperatedTissue):
         Raises
         ------
         SimulationError
-            The snapshot, or the state, is of another lattice, or its springs are too stiff for the step. Nothing has
-            changed.
+            It is no snapshot and no state, or one of another lattice, or its springs are too stiff for the step.
+            Nothing has changed.
         """
+        if not isinstance(point, State | Snapshot):
+            message = f"this is no snapshot but a {type(point).__name__}: give what snapshot() returned"
+            raise SimulationError(message, place="restore")
         if not isinstance(point, Snapshot):
             point = Snapshot.of(self.model, point, (), self.cuts, self.stitches, self.patches)
         model, state = point.model, point.state
@@ -196,10 +201,10 @@ class Simulation(PatchedTissue, OperatedTissue):
         Raises
         ------
         SimulationError
-            A position is not a number any more, or energy came from nowhere. The state before these steps is restored.
+            The number of steps is no whole one or negative; or a position is not a number any more, or energy came from
+            nowhere. The state before these steps is restored.
         """
-        if step_count < 0:
-            raise SimulationError(f"cannot take {step_count} steps: restore a state to go back", place="step")
+        step_count = checked_steps(step_count)
         if step_count == 0:
             return
         before = self.state
@@ -251,7 +256,7 @@ class Simulation(PatchedTissue, OperatedTissue):
             There is no tissue to hold, the place is not a finite point, or the radius is not above 0.
         """
         among = None
-        if is_point(center_mm) and 0.0 < radius_mm < np.inf:
+        if is_point(center_mm) and is_number(radius_mm) and radius_mm > 0.0:
             center, radius = point_in_lattice(self.model, center_mm), radius_mm / self.model.cell_mm
             among = on_side_at(self.model, self.state.displacement, center, radius, self._sheet_triangles())
         grab = close_grab(
@@ -280,7 +285,7 @@ class Simulation(PatchedTissue, OperatedTissue):
         """
         require_grab(grab)
         if grab not in self.grabs:
-            raise SimulationError("the hand has let go and cannot be led: grab again", place=grab.name)
+            raise SimulationError("the hand has let go, or is not of this simulation: grab again", place=grab.name)
         grab.target = pose_of(self.model, offset_mm, turn, grab.name)
 
     def release(self, grab: Grab) -> None:
@@ -340,8 +345,9 @@ class Simulation(PatchedTissue, OperatedTissue):
         Raises
         ------
         SimulationError
-            The probe was withdrawn, or the centre is not finite.
+            It is no probe, or one that was withdrawn, or the centre is not finite.
         """
+        require_probe(probe)
         if probe not in self.probes:
             raise SimulationError("the probe was withdrawn and cannot be moved: bring in another", place=probe.name)
         if not is_point(center_mm):
@@ -363,7 +369,16 @@ class Simulation(PatchedTissue, OperatedTissue):
         return self.wrench_on(hand).force_n
 
     def wrench_on(self, hand: Instrument) -> Wrench:
-        """Force that the tissue exerts on a hand, as of :meth:`force_on`, and its torque about the hand's centre."""
+        """Force that the tissue exerts on a hand, as of :meth:`force_on`, and its torque about the hand's centre.
+
+        Raises
+        ------
+        SimulationError
+            It is no instrument.
+        """
+        if not isinstance(hand, Instrument):
+            message = f"this is no instrument but a {type(hand).__name__}: give what grab() or probe() returned"
+            raise SimulationError(message, place="force")
         if hand not in self.instruments:
             return Wrench(np.zeros(3), np.zeros(3))
         return wrench_on(self.model, hand, self._engine.forces)

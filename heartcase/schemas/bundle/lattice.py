@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float32, Int32, Int64
+from heartcase.schemas.errors import BundleError
 
 __all__ = [
     "CELL_DIAGONALS",
@@ -19,6 +20,7 @@ __all__ = [
     "CORNER_OFFSETS",
     "FULL_MOMENTS",
     "STEP_SAFETY",
+    "cell_indices",
     "cell_nodes",
     "distinct_keys",
     "lattice_keys",
@@ -43,6 +45,9 @@ STEP_SAFETY = 0.8
 """Default step over the limit of the stretched lattice."""
 
 _OFFSET = 1 << 20
+_INDEX_MOST = _OFFSET - 2
+"""So that corners have keys, too."""
+_NO_INDICES = f"give the index (i, j, k) of each cell: whole numbers of up to {_INDEX_MOST}, shape (cell_count, 3)"
 
 
 def lattice_keys(indices: npt.ArrayLike) -> Int64:
@@ -66,7 +71,7 @@ def cell_nodes(cells: npt.ArrayLike) -> tuple[Int32, Int32]:
     Parameters
     ----------
     cells
-        Index (i, j, k) of each cell, shape (cell_count, 3); each within +-2**20.
+        Index (i, j, k) of each cell, whole numbers, shape (cell_count, 3); each within +-(2**20 - 2).
 
     Returns
     -------
@@ -74,12 +79,41 @@ def cell_nodes(cells: npt.ArrayLike) -> tuple[Int32, Int32]:
         Corner (i, j, k) of each node, int32, shape (node_count, 3), by k, j, i.
     corners
         Node number of each cell's eight corners, int32, shape (cell_count, 8).
+
+    Raises
+    ------
+    BundleError
+        The cells are no indices.
     """
-    cells = np.asarray(cells, dtype=np.int32).reshape(-1, 3)
+    cells = cell_indices(cells)
     corners = cells[:, None, :] + CORNER_OFFSETS[None, :, :]
     _, first, inverse = np.unique(lattice_keys(corners).ravel(), return_index=True, return_inverse=True)
     nodes = np.ascontiguousarray(corners.reshape(-1, 3)[first])
     return nodes, inverse.reshape(-1, 8).astype(np.int32)
+
+
+def cell_indices(cells: npt.ArrayLike) -> Int32:
+    """Indices of cells, int32, shape (cell_count, 3).
+
+    Raises
+    ------
+    BundleError
+        They have another shape, are no whole numbers, or lie beyond +-(2**20 - 2).
+    """
+    try:
+        given = np.asarray(cells)
+        numbers = given.astype(np.int64) if given.dtype.kind in "iu" else np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BundleError(_NO_INDICES, place="cells") from None
+    is_empty = not numbers.size
+    if not is_empty and (numbers.ndim != 2 or numbers.shape[1] != 3):
+        raise BundleError(f"{_NO_INDICES} (found shape {numbers.shape})", place="cells")
+    is_index = np.abs(numbers) <= _INDEX_MOST
+    is_index &= numbers == np.floor(numbers)
+    if not is_index.all():
+        row = int(np.flatnonzero(~is_index.all(axis=1))[0])
+        raise BundleError(f"{_NO_INDICES} (cell {row} is {numbers[row].tolist()})", place="cells")
+    return numbers.reshape(-1, 3).astype(np.int32)
 
 
 def step_sizes(modulus_over_density: float, cell_mm: float) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int64, Intp
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.instruments.placing import is_point, point_in_lattice, turn_in_grid
+from heartcase.simulator.instruments.placing import is_number, is_point, point_in_lattice, turn_in_grid
 from heartcase.simulator.lattice.loose_nodes import loose_first
 from heartcase.simulator.lattice.model import LatticeModel
 
@@ -144,7 +144,7 @@ def close_grab(
     SimulationError
         There is no tissue to hold, the place is not a finite point, or the radius is not above 0.
     """
-    if not (is_point(center_mm) and np.isfinite(radius_mm)):
+    if not (is_point(center_mm) and is_number(radius_mm)):
         raise SimulationError("the centre and the radius must be finite numbers, three and one", place=name)
     if radius_mm <= 0:
         raise SimulationError(f"the radius must be above 0 mm (found {radius_mm:g})", place=name)

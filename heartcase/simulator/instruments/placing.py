@@ -9,12 +9,27 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["is_point", "jaw_axes", "point_in_lattice", "turn_in_grid"]
+__all__ = ["as_numbers", "is_number", "is_point", "jaw_axes", "point_in_lattice", "turn_in_grid"]
+
+
+def as_numbers(values: npt.ArrayLike) -> Float64:
+    """What was given, as an array; a NaN where that is no array of numbers."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.array(np.nan)
+
+
+def is_number(value: npt.ArrayLike) -> bool:
+    """Whether this is one finite number."""
+    number = as_numbers(value)
+    return number.shape == () and bool(np.isfinite(number))
 
 
 def is_point(values: npt.ArrayLike) -> bool:
     """Whether these are three finite numbers."""
-    return np.shape(values) == (3,) and bool(np.isfinite(np.asarray(values, dtype=float)).all())
+    numbers = as_numbers(values)
+    return numbers.shape == (3,) and bool(np.isfinite(numbers).all())
 
 
 def point_in_lattice(model: LatticeModel, point_mm: npt.ArrayLike) -> Float64:
@@ -30,7 +45,7 @@ def turn_in_grid(model: LatticeModel, turn: npt.ArrayLike | None, name: str) -> 
     SimulationError
         It is no rotation; the message is about the instrument of this name.
     """
-    rotation = np.eye(3) if turn is None else np.asarray(turn, dtype=float)
+    rotation = np.eye(3) if turn is None else as_numbers(turn)
     is_rotation = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
     if not is_rotation or np.linalg.det(rotation) < 0:
         raise SimulationError("the turn must be a rotation matrix, shape (3, 3)", place=name)

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.engine.shared.contact import probe_row
-from heartcase.simulator.instruments.placing import is_point, point_in_lattice, turn_in_grid
+from heartcase.simulator.instruments.placing import as_numbers, is_point, point_in_lattice, turn_in_grid
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["Probe", "make_probe"]
+__all__ = ["Probe", "make_probe", "require_probe"]
 
 PROBE_MIN = 0.5
 """Smallest semi-axis of a probe [cells]."""
@@ -64,6 +64,14 @@ class Probe:
         return np.flatnonzero(is_touched & ~model.node_is_fixed)
 
 
+def require_probe(probe: object) -> None:
+    """SimulationError where something else was given for a probe."""
+    if not isinstance(probe, Probe):
+        raise SimulationError(
+            f"this is no probe but a {type(probe).__name__}: give what probe() returned", place="probe"
+        )
+
+
 def make_probe(
     model: LatticeModel,
     center_mm: npt.ArrayLike,
@@ -96,8 +104,9 @@ def make_probe(
         A number is not finite, a semi-axis too small, the turn no rotation, or what is swept along a line is no ball.
     """
     semi_axes = np.full(3, np.nan)
-    if np.shape(semi_axes_mm) in ((), (3,)):
-        semi_axes = np.broadcast_to(np.asarray(semi_axes_mm, dtype=float), 3) / model.cell_mm
+    given = as_numbers(semi_axes_mm)
+    if given.shape in ((), (3,)):
+        semi_axes = np.broadcast_to(given, 3) / model.cell_mm
     problems = []
     if not is_point(center_mm):
         problems.append(Problem(name, "the centre must be three finite numbers"))

@@ -22,10 +22,11 @@ from heartcase.schemas.bundle.lattice import (
     CELL_EDGES,
     CORNER_OFFSETS,
     FULL_MOMENTS,
+    cell_indices,
     cell_nodes,
     lattice_keys,
 )
-from heartcase.schemas.errors import Problem, SimulationError
+from heartcase.schemas.errors import BundleError, Problem, SimulationError
 from heartcase.schemas.geometry import Geometry
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.force_law import ForceLaw
@@ -321,13 +322,18 @@ def make_model(
     SimulationError
         The cells are not a lattice: none, one twice, a number out of range, cells that are not cubic.
     """
-    cells = np.asarray(cells, dtype=np.int32).reshape(-1, 3)
+    try:
+        cells = cell_indices(cells)
+    except BundleError as error:
+        raise SimulationError(error.problems) from None
+    if geometry is None and not 0.0 < cell_mm < np.inf:
+        raise SimulationError(f"an edge of {cell_mm:g} mm: give more than 0", place="cell_mm")
     geometry = geometry or _plain_geometry(cells, cell_mm)
     cell_count = len(cells)
-    coverage = np.broadcast_to(np.asarray(coverage, dtype=float), cell_count)
-    youngs_modulus_pa = np.broadcast_to(np.asarray(stiffness_kpa, dtype=float) * 1e3, cell_count)
-    density = np.broadcast_to(np.asarray(density_kg_m3, dtype=float), cell_count)
-    moments = np.broadcast_to(np.asarray(moments, dtype=np.float32), (cell_count, len(FULL_MOMENTS))).copy()
+    coverage = _per_cell("coverage", coverage, (cell_count,))
+    youngs_modulus_pa = _per_cell("stiffness_kpa", stiffness_kpa, (cell_count,)) * 1e3
+    density = _per_cell("density_kg_m3", density_kg_m3, (cell_count,))
+    moments = _per_cell("moments", moments, (cell_count, len(FULL_MOMENTS))).astype(np.float32)
     _check(cells, coverage, youngs_modulus_pa, density, geometry, moments)
 
     nodes, corners = cell_nodes(cells)
@@ -437,6 +443,15 @@ def _fixed_nodes(fixed: npt.ArrayLike, node_count: int) -> Bool:
 def _has_twins(keys: Int64) -> bool:
     """Whether a key is there twice; keys that ascend, as a bundle's do, need no sorting."""
     return bool((np.diff(keys) <= 0).any()) and len(np.unique(keys)) != len(keys)
+
+
+def _per_cell(place: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Float64:
+    """Numbers of each cell, of which one may stand for all."""
+    try:
+        return np.broadcast_to(np.asarray(given, dtype=np.float64), shape)
+    except (TypeError, ValueError):
+        each = f"numbers of shape {shape}" if len(shape) == 1 else f"numbers of shape {shape} or ({shape[1]},)"
+        raise SimulationError(f"give one number, or {each}", place=place) from None
 
 
 def _check(

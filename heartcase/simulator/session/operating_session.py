@@ -98,6 +98,11 @@ class OperatingSession:
         what changes it must come as a command.
     snapshot_every_s
         Simulated time between snapshots of late, s; they are fewer the longer ago. Infinite keeps the start alone.
+
+    Raises
+    ------
+    SimulationError
+        The time between snapshots is not above 0.
     """
 
     def __init__(self, simulation: Simulation, *, snapshot_every_s: float = SNAPSHOT_EVERY_S) -> None:

@@ -12,9 +12,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
+import numpy as np
+
 from heartcase import __version__
 from heartcase.schemas.bundle.format import CaseManifest
-from heartcase.schemas.errors import RecordingError
+from heartcase.schemas.errors import Problem, RecordingError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recording.commands import Entry
 from heartcase.schemas.recording.header import (
@@ -69,8 +71,9 @@ class Recorder:
     Raises
     ------
     RecordingError
-        There is something at the path, its folder does not exist or cannot be written, or the session began with a
-        lattice that was cut or joined. Nothing is left at the path but what was there.
+        There is something at the path, its folder does not exist or cannot be written, the session began with a
+        lattice that was cut or joined, the case is another, the time between states is not above 0, or the session was
+        never at the step where it took over. Nothing is left at the path but what was there.
     """
 
     def __init__(
@@ -88,6 +91,7 @@ class Recorder:
         start = session.start
         if start.model.explicit.count or not start.model.cell_is_whole.all() or start.cuts is not None:
             raise RecordingError("the session began with a lattice that was cut or joined: record from before that")
+        _check(session, case, state_every_s, parent)
         self.path = Path(path)
         self._session = session
         self._state_steps = max(1.0, state_every_s / session.simulation.step_s)
@@ -218,6 +222,28 @@ class Recorder:
             with contextlib.suppress(OSError):
                 os.fsync(log.fileno())
             log.close()
+
+
+def _check(
+    session: OperatingSession, case: CaseManifest | None, state_every_s: float, parent: RecordingParent | None
+) -> None:
+    """Refuse what a recording would say wrongly of its session."""
+    model, problems = session.start.model, []
+    if case is not None:
+        is_same = case.simulation.node_count == model.node_count - model.loose_count
+        if not (is_same and np.allclose(case.grid_geometry.affine, model.geometry.affine, atol=1e-3)):
+            problems.append(
+                Problem("case", f"the session moves another lattice than that of {case.name!r}: give its own")
+            )
+    if not state_every_s > 0.0:
+        problems.append(Problem("state_every_s", f"{state_every_s:g} s between states: give more than 0"))
+    first, last = session.start.state.step_count, session.step_count
+    if parent is not None and not first <= parent.step <= last:
+        problems.append(
+            Problem("parent", f"the session went from step {first} to {last} and took over at none like {parent.step}")
+        )
+    if problems:
+        raise RecordingError(problems)
 
 
 def _unwritable(error: OSError) -> RecordingError:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from heartcase.schemas.arrays import Float32, Int32, UInt8
-from heartcase.schemas.errors import UsageError
+from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.ply import ply_bytes
 
@@ -36,6 +37,26 @@ def _obj(vertices: Float32, normals: Float32, triangles: Int32, colours: UInt8, 
     lines += [f"vn {x:.6g} {y:.6g} {z:.6g}" for x, y, z in normals.tolist()]
     lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (triangles + 1).tolist()]
     return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def _problems(vertices: Any, normals: Any, triangles: Any, colours: Any) -> list[Problem]:
+    """What keeps arrays from being a mesh."""
+    count, found = len(np.atleast_1d(vertices)), []
+    for name, given in (("vertices_mm", vertices), ("normals", normals)):
+        if given.shape != (count, 3) or given.dtype.kind not in "fiu" or not np.isfinite(given).all():
+            found.append(Problem(name, f"give finite numbers of shape ({count}, 3) (found {_told(given)})"))
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        problem = f"give vertex numbers of shape (triangle_count, 3) (found {_told(triangles)})"
+        return [*found, Problem("triangles", problem)]
+    if triangles.size and not 0 <= triangles.min() <= triangles.max() < count:
+        found.append(Problem("triangles", f"vertices are numbered from 0 to {count - 1}"))
+    if colours.shape != (len(triangles), 3) or colours.dtype != np.uint8:
+        found.append(Problem("colours", f"give uint8 of shape ({len(triangles)}, 3) (found {_told(colours)})"))
+    return found
+
+
+def _told(given: Any) -> str:
+    return f"{given.dtype} of shape {given.shape}"
 
 
 SURFACE_FORMATS: dict[str, Callable[[Float32, Float32, Int32, UInt8, str], bytes]] = {
@@ -73,14 +94,19 @@ def write_surface(
     Raises
     ------
     UsageError
-        The suffix is none of these, or the file cannot be written.
+        The suffix is none of these, an array is of another shape or kind or not finite, a triangle has a vertex that
+        there is not, or the file cannot be written.
     """
     path = Path(path)
     write = SURFACE_FORMATS.get(path.suffix.lower())
     if write is None:
         raise UsageError(f"a surface is written as {', '.join(SURFACE_FORMATS)}; {path.name!r} is none of these")
-    if colours is None:
-        colours = np.full((len(triangles), 3), 160, np.uint8)
+    vertices_mm, normals, triangles = np.asarray(vertices_mm), np.asarray(normals), np.asarray(triangles)
+    grey = np.full((len(np.atleast_1d(triangles)), 3), 160, np.uint8)
+    colours = grey if colours is None else np.asarray(colours)
+    problems = _problems(vertices_mm, normals, triangles, colours)
+    if problems:
+        raise UsageError(problems)
     comment = "patient LPS, mm" + (f"; case {case_id}" if case_id else "")
     try:
         atomic_write(path, write(vertices_mm, normals, triangles, colours, comment))
