@@ -122,6 +122,10 @@ SENTENCES: Mapping[str, str] = {
         "muscle that is missing there and background beyond it, or, where the scan does not show so thin a wall, "
         "give the label a wall_thickness_mm: a wall grows only where no muscle is"
     ),
+    "adult-walls": (
+        "walls as thick as an adult's are grown around the heart of a child: by its ventricles its body has a surface "
+        "of about {area#} m². In brackets what fits it: {listed}. Give the labels their wall_thickness_mm"
+    ),
     "more-places": "and {rest#} more places like the last, which are smaller",
     "long-voxels": (
         "the scan's voxels are {times#} times as long as wide ({shortest#} and {longest#} mm), so the shape "

@@ -205,6 +205,7 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
     """
     from heartcase.pipeline.bundle.glb import glb_bytes
     from heartcase.pipeline.cells.picking import picking_surface
+    from heartcase.pipeline.checks.adult_walls import adult_wall_warnings
     from heartcase.pipeline.checks.rims import with_rims
     from heartcase.pipeline.edits.apply_edits import with_edit_names
     from heartcase.pipeline.formats.write_images import segmentation_nrrd_bytes
@@ -238,7 +239,8 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
         grown = structures.quality.get("septa", ())
         septa, of_septa = judged_places(grown, openings, recipe.walls.contact, structures.table, voxel_mm)
         of_said = said_warnings(grown, openings, recipe.walls, structures.table, voxel_mm, recipe.edits)
-        told["openings"] = (*of_said, *opening_warnings(openings))
+        of_walls = adult_wall_warnings(labels, [one.label for one in recipe.walls.thickness])
+        told["openings"] = (*of_said, *opening_warnings(openings), *of_walls)
         # the walls stage did not know of edits, nor of what a person said
         others = with_edit_names(structures.warnings, recipe.edits)
         told["structures"] = [

@@ -226,7 +226,7 @@ def _of_joined(structures: Structures, change: Change) -> CaseWarning:
     return anatomy(
         sentence(kind, one=one, other=other, where=_where(change.extent)),
         code="compartments-joined",
-        places_mm=(change.extent.center_mm,),
+        places_mm=change.extent.centers_mm,
     )
 
 
@@ -235,7 +235,7 @@ def _of_split(structures: Structures, change: Change) -> CaseWarning:
     return anatomy(
         sentence("compartments-split", one=one, other=other if one != other else None, where=_where(change.extent)),
         code="compartments-split",
-        places_mm=(change.extent.center_mm,),
+        places_mm=change.extent.centers_mm,
     )
 
 
@@ -244,12 +244,12 @@ def _of_cut(structures: Structures, change: Change) -> CaseWarning:
     return anatomy(
         sentence("cavity-cut-by-septum", label=name, where=_where(change.extent)),
         code="cavity-cut-by-septum",
-        places_mm=(change.extent.center_mm,),
+        places_mm=change.extent.centers_mm,
     )
 
 
 def _of_gap(structures: Structures, cavity: int, extent: Extent, is_stated: bool) -> CaseWarning:
-    label, places = structures.table[cavity], (extent.center_mm,)
+    label, places = structures.table[cavity], extent.centers_mm
     if is_stated:
         text = sentence("gap-stated", label=label.name, where=_where(extent))
         return note(text, code="gap-stated", places_mm=places)

@@ -170,6 +170,8 @@ class Opening:
     the volume is not known."""
     points_mm: Float64 = field(default_factory=lambda: np.empty((0, 3)), compare=False, repr=False)
     """Centres of the faces between the two, world mm, shape (face_count, 3)."""
+    centers_mm: tuple[tuple[float, float, float], ...] = field(default=(), compare=False, repr=False)
+    """``center_mm`` and the like of the next largest patches."""
     reach_mm: float = field(default=0.0, compare=False)
     """Distance from its centre to the farthest face of the largest patch, mm."""
     statement: _Statement | None = field(default=None, compare=False, repr=False)
@@ -383,6 +385,7 @@ def _opening(contact: Contact, pair: tuple[Label, Label], verdict: Verdict) -> O
         extent.center_mm,
         verdict,
         points_mm=contact.points_mm,
+        centers_mm=extent.centers_mm,
         reach_mm=extent.reach_mm,
     )
 
@@ -433,7 +436,7 @@ def _stated_by_contacts(places: Sequence[ContactPlace], table: LabelTable) -> It
 
 
 def _warnings_of(one: Opening) -> Iterator[CaseWarning]:
-    places = (one.center_mm,)
+    places = one.centers_mm or (one.center_mm,)
     said = {
         "one": one.names[0],
         "other": one.names[1],

@@ -40,6 +40,8 @@ POCKET_SHARE = 0.1
 """A piece with less than this part of a label's voxels may be what a patch cuts off: blood that leads nowhere."""
 MOST_PROBES = 32
 """Points between the centres of two voxels at which tissue is looked for, at most."""
+PLACES_MOST = 8
+"""Patches whose places are told."""
 CHUNK = 50_000
 """Voxels or faces that are looked at together: bounds the memory."""
 
@@ -51,10 +53,15 @@ class Extent(NamedTuple):
     """Area of the smooth border, mm2."""
     patches: int
     """Pieces that do not touch."""
-    center_mm: tuple[float, float, float]
-    """The point of the largest patch that is nearest to its mean, world mm."""
+    centers_mm: tuple[tuple[float, float, float], ...]
+    """Of the largest patches, largest first, the point of each that is nearest to its mean, world mm."""
     reach_mm: float
-    """Distance from there to the farthest face of that patch."""
+    """Distance from the first of these to the farthest face of that patch."""
+
+    @property
+    def center_mm(self) -> tuple[float, float, float]:
+        """That of the largest patch."""
+        return self.centers_mm[0]
 
 
 @dataclass(frozen=True)
@@ -96,13 +103,16 @@ class Contact:
         neighbours = cKDTree(self.index).query_pairs(NEIGHBOUR, output_type="ndarray")
         patches, patch = connected_components(_graph(neighbours, len(self.index)), directed=False)
         area = self._areas_mm2(neighbours)
-        largest = patch == np.argmax(np.bincount(patch, weights=area, minlength=patches))
-        points = self.points_mm[largest]
-        middle = np.average(points, axis=0, weights=area[largest])
-        nearest = points[np.argmin(np.linalg.norm(points - middle, axis=1).round(6))]
-        center = (float(nearest[0]), float(nearest[1]), float(nearest[2]))
-        reach = float(np.linalg.norm(points - nearest, axis=1).max())
-        return Extent(float(area.sum()), int(patches), center, reach)
+        sizes = np.bincount(patch, weights=area, minlength=patches)
+        points_mm, centers = self.points_mm, []
+        for n in np.argsort(-sizes, kind="stable")[:PLACES_MOST]:
+            points = points_mm[patch == n]
+            middle = np.average(points, axis=0, weights=area[patch == n])
+            x, y, z = points[np.argmin(np.linalg.norm(points - middle, axis=1).round(6))].tolist()
+            centers.append((x, y, z))
+        largest = points_mm[patch == np.argmax(sizes)]
+        reach = float(np.linalg.norm(largest - centers[0], axis=1).max())
+        return Extent(float(area.sum()), int(patches), tuple(centers), reach)
 
     def _areas_mm2(self, neighbours: Intp) -> Float64:
         """Each face's share of the smooth border, shape (n,), above zero."""

@@ -95,6 +95,8 @@ def test_several_canals_are_told_one_by_one():
         joined[canal] = AORTA
     (warning,) = leak_warnings(grown(joined, geometry), apart.astype(np.uint8))
     assert "in 2 patches" in warning.text
+    for at, place in zip(((6.0, 2.0), (-7.0, -3.0)), sorted(warning.places_mm, key=lambda one: -one[1]), strict=True):
+        assert np.linalg.norm(np.array(place[1:]) - at) < 3.0
 
 
 @settings(deadline=None, max_examples=15)

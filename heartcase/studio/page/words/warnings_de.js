@@ -33,6 +33,7 @@ export const warnings = {
   "heart-cut-off": "{face} schneidet das Herz ab, ohne Gefäßende: {listed}. Was dahinter liegt, fehlt im Modell, in seinen Volumen und Bildern: Nehmen Sie ein Bild mit dem ganzen Herzen",
   "vessel-cut-lengthwise": "{face} schneidet {listed} längs, nicht quer: Sehen Sie nach, wie viel dahinter fehlt",
   "vessel-open-at-face": "Offen, wo sie hinausgehen durch {face}: {listed}",
+  "adult-walls": "Um das Herz eines Kindes sind Wände gewachsen, die so dick wie bei Erwachsenen sind: Nach den Ventrikeln hat sein Körper eine Oberfläche von etwa {area#} m². In Klammern, was dazu passt: {listed}. Geben Sie den Wänden ihre Dicke (Form, Wände)",
   "smoothed-away": "{label}: beim Glätten der Umrisse verschwunden, weil zu dünn; glätten Sie weniger",
   "smoothed-smaller": "{label}: Das Glätten nimmt {percent#}% des Volumens, weil es klein ist; glätten Sie weniger",
   "smoothed-narrower": "{label}: Das Glätten der Umrisse verengt es bei {place} mm von {before#} mm auf {after#} mm; glätten Sie weniger",

@@ -13,6 +13,7 @@ export const warnings = {
   "wall-gap": "{label}: its wall has a gap {where}, so it is open to the outside there; if a vessel is cut off there, place a vessel end (Shape), else look at the segmentation there",
   "vessel-open-to-outside": "{label}: its blood is open to the outside {where}, with neither muscle nor a wall between; if it is cut off there, place a vessel end (Shape), else paint the muscle that is missing there and background beyond it, or, where the scan does not show so thin a wall, give the structure a wall (Shape, Walls): a wall grows only where no muscle is",
   "open-to-outside": "{label}: its blood is open to the outside {where}, with neither muscle nor a wall between; paint the muscle that is missing there and background beyond it, or, where the scan does not show so thin a wall, give the structure a wall (Shape, Walls): a wall grows only where no muscle is",
+  "adult-walls": "Walls as thick as an adult's are grown around the heart of a child: by its ventricles its body has a surface of about {area#} m². In brackets what fits it: {listed}. Give the walls their thickness (Shape, Walls)",
   "smoothed-away": "{label}: vanished in the smoothing of the outlines, as it is too thin for it; smooth less (Shape, Walls)",
   "smoothed-smaller": "{label}: the smoothing takes {percent#}% of its volume, as it is small; smooth less (Shape, Walls)",
   "smoothed-narrower": "{label}: the smoothing of the outlines narrows it near {place} mm from {before#} mm to {after#} mm; smooth less (Shape, Walls)",
