@@ -102,7 +102,7 @@ class OperatingSession:
     Raises
     ------
     SimulationError
-        The time between snapshots is not above 0.
+        The time between snapshots is negative.
     """
 
     def __init__(self, simulation: Simulation, *, snapshot_every_s: float = SNAPSHOT_EVERY_S) -> None:

@@ -25,8 +25,8 @@ class Snapshots:
     """Steps between snapshots of late; no snapshot but the first where this is infinite."""
 
     def __post_init__(self) -> None:
-        if not self.every_steps > 0.0:
-            raise SimulationError("the time between snapshots must be above 0", place="snapshot_every_s")
+        if not self.every_steps >= 0.0:
+            raise SimulationError("the time between snapshots must be 0 or more", place="snapshot_every_s")
         self._kept: dict[int, Snapshot] = {}
 
     def __len__(self) -> int:
