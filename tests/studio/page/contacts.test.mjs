@@ -81,3 +81,24 @@ test("what a page is told before it knows the recipe counts as built", () => {
   contacts.setCurrent(false);
   assert.equal(told, 1);
 });
+
+test("a wall against the outside: one button, then what was asked for", () => {
+  const set = [];
+  const shape = new Signal(null);
+  const contacts = new Contacts({ shape, set: (path, value) => set.push([path, value]) }, () => Promise.resolve({ url: "" }));
+  let told = 0;
+  contacts.onSaid = () => (told += 1);
+  const walls = (mm, has_table = false) => (shape.value = { lines: {}, walls: [{ label: "LV", term: null, wall_thickness_mm: mm, has_table }] });
+  assert.deepEqual(contacts.wallActs("LV"), []);
+  walls(0);
+  const [button] = contacts.wallActs("LV");
+  assert.equal(button.textContent, say("contact_outer_wall"));
+  button.act({ detail: 1 });
+  assert.deepEqual(set, [[["labels", "LV", "wall_thickness_mm"], 1.5]]);
+  walls(1.5);
+  assert.ok(contacts.wallActs("LV")[0].textContent.includes("1.5 mm"));
+  assert.equal(told, 2);
+  assert.deepEqual(contacts.wallActs("RV"), []);
+  walls(0, true);
+  assert.deepEqual(contacts.wallActs("LV"), []);
+});

@@ -34,7 +34,7 @@ export class Contacts {
     this.shaping = shaping;
     this.ask = ask;
     shaping.shape.listen((shape) => {
-      const said = JSON.stringify([shape?.lines["walls.contact"], shape?.lines["walls.septum"]]);
+      const said = JSON.stringify([shape?.lines["walls.contact"], shape?.lines["walls.septum"], shape?.walls]);
       const before = this.#saidNow;
       this.#saidNow = said;
       if (before === "" && this.#saidBuilt !== null) this.#saidBuilt = said;
@@ -82,6 +82,21 @@ export class Contacts {
   openingActs({ between, area_mm2, center_mm, reach_mm, verdict }) {
     const place = { between, area_mm2, center_mm, reach_mm: reach_mm ?? diameterOf(area_mm2) };
     return [this.#picture(center_mm), ...this.#acts(place, verdict === "unexpected" ? "unexpected" : "odd")];
+  }
+
+  /**
+   * What can be done about blood that is open to the outside: a wall where no muscle is, or what was asked for already.
+   * @param {string | undefined} label
+   * @returns {HTMLElement[]}
+   */
+  wallActs(label) {
+    const wall = this.shaping.shape.value?.walls.find((one) => one.label === label);
+    if (wall === undefined || wall.has_table) return [];
+    if (wall.wall_thickness_mm > 0) {
+      const words = say("contact_walled", { mm: figure(wall.wall_thickness_mm, 1) });
+      return [element("span", "said", `${words} ${say("contact_build")}`)];
+    }
+    return [button("contact_outer_wall", () => void this.shaping.set(["labels", wall.label, "wall_thickness_mm"], WALL_MM))];
   }
 
   /** @param {() => void} onFly */

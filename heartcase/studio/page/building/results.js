@@ -128,6 +128,12 @@ export class Results {
     } else line.append(element("span", "soft", say("build_no_place")));
     if (grade !== "note") line.append(this.#seenBox(seen, text));
     row.append(line);
+    const walls = code === "open-to-outside" ? this.contacts.wallActs(warning.parts.label) : [];
+    if (walls.length > 0) {
+      const acts = element("div", "where");
+      acts.append(...walls);
+      row.append(acts);
+    }
     const opening = code.startsWith("opening-") ? this.#openingAt(places[0]) : undefined;
     if (opening && ODD.includes(opening.verdict)) {
       const acts = element("div", "where");

@@ -36,6 +36,8 @@ export const words = {
   contact_unfit: "Was das Rezept hier angibt, passt nicht zu dieser Stelle: Sagen Sie noch einmal, was sie ist.",
   contact_stated: "Offen: Das Rezept gibt hier einen Defekt an.",
   contact_apart: "Eine Wand ist verlangt.",
+  contact_outer_wall: "Eine dünne Wand ergänzen, wo kein Muskel ist",
+  contact_walled: "Wo kein Muskel ist, soll eine Wand von {mm} mm wachsen.",
   contact_build: "Neu bauen, damit es gilt.",
   contact_noted: "Der nächste Bau vermerkt es.",
   contact_open: "Offen gelassen: {pair}",

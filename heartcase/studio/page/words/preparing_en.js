@@ -35,6 +35,8 @@ export const words = {
   contact_unfit: "What the recipe states here does not fit this place: say again what it is.",
   contact_stated: "Open: the recipe states a defect here.",
   contact_apart: "A wall is asked for.",
+  contact_outer_wall: "Grow a thin wall where no muscle is",
+  contact_walled: "A wall of {mm} mm is asked for where no muscle is.",
   contact_build: "Build again to have it.",
   contact_noted: "The next build notes it.",
   contact_open: "Kept open: {pair}",
