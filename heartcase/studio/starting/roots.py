@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +31,13 @@ class Roots:
     Parameters
     ----------
     folders
-        The folders, resolved; the first is where the start page begins.
+        The folders, resolved.
+    begin
+        Where the start page begins, in one of them; the first when left out.
     """
 
     folders: tuple[Path, ...]
+    begin: Path | None = None
 
     @classmethod
     def of(cls, folders: Sequence[Path]) -> Roots:
@@ -44,6 +47,15 @@ class Roots:
             if folder.is_dir() and _is_text(str(folder)) and not any(folder.is_relative_to(one) for one in found):
                 found.append(folder)
         return cls(tuple(found))
+
+    def beginning_in(self, folder: Path) -> Roots:
+        """The same, beginning in a folder inside of one, where that holds anything that can be opened."""
+        try:
+            begin = self.inside(folder)
+            is_full = begin.is_dir() and bool(_entries(begin)[0])
+        except UsageError:
+            return self
+        return replace(self, begin=begin) if is_full else self
 
     def inside(self, path: str | Path) -> Path:
         """A path with its links followed.
@@ -62,8 +74,8 @@ class Roots:
             raise UsageError("this is no path: check its spelling", place="path") from None
         if not is_inside:
             raise UsageError(
-                "this lies outside of the folders that the studio was started with: start it with "
-                "heartcase studio FOLDER to look there",
+                "this lies outside of the folders that the studio was started with: end heartcase, and start it with "
+                'that folder: heartcase studio "THE FOLDER"',
                 place="path",
             )
         if not is_there:
@@ -71,7 +83,7 @@ class Roots:
         return found
 
     def listing(self, path: str | Path | None) -> dict[str, Any]:
-        """What a folder holds that the studio opens, as plain data; the first root where no path is given.
+        """What a folder holds that the studio opens, as plain data; where the page begins if no path is given.
 
         Raises
         ------
@@ -80,7 +92,7 @@ class Roots:
         """
         if not self.folders:
             raise UsageError("there is no folder to look into: start heartcase studio with one", place="path")
-        folder = self.folders[0] if path is None else self.inside(path)
+        folder = (self.begin or self.folders[0]) if path is None else self.inside(path)
         chosen = None
         if not folder.is_dir():
             folder, chosen = folder.parent, folder.name

@@ -48,8 +48,8 @@ class Start:
     registry
         Where recipes and cases are opened.
     roots
-        Folders that may be looked into, the first one at the beginning; the user's own and the present one when left
-        out.
+        Folders that may be looked into, the first one at the beginning. When left out the user's own and the present
+        one, which the page begins in unless nothing in it can be opened.
     state
         Folder of the list of recent work; the user's when left out.
     looks
@@ -60,7 +60,7 @@ class Start:
         self, registry: Registry, *, roots: Sequence[Path] = (), state: Path | None = None, looks: bool = False
     ) -> None:
         self._registry = registry
-        self._roots = Roots.of(roots or (Path.home(), Path.cwd()))
+        self._roots = Roots.of(roots) if roots else Roots.of((Path.home(), Path.cwd())).beginning_in(Path.cwd())
         self._looks = looks
         self._recent = Recent(state or state_folder())
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio-start")

@@ -440,5 +440,5 @@ def test_a_server_that_is_gone_and_comes_back(chromium, painted):
         # started anew it has another key, which the page cannot know
         server.stop()
         server.start(token="another")
-        page.tab.locator("#lost").get_by_text("started anew").wait_for(timeout=60_000)
+        page.tab.locator("#lost").get_by_text("started again").wait_for(timeout=60_000)
         assert len(load_recipe(path).strokes) == 2

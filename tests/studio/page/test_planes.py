@@ -81,7 +81,13 @@ def test_the_hearts_own_planes_are_shown_where_they_are(chromium, painted):
     with browsing(chromium, server, viewport={"width": 1366, "height": 768}) as page:
         page.tab.locator("#planes-open").click()
         page.tab.locator("[data-planes=heart]").click()
-        page.tab.locator("[data-planes=heart][aria-pressed=true]").wait_for()
+        page.tab.locator("[data-planes=heart][aria-pressed=true]").wait_for(state="attached")
+        # what was chosen is seen, and nothing lies over it
+        page.tab.locator("#planes").wait_for(state="hidden")
+        page.tab.locator("#planes-open").click()
+        page.tab.locator("#axial .surface").hover()
+        page.tab.keyboard.press("Escape")
+        page.tab.locator("#planes").wait_for(state="hidden")
         assert titles(page) == ["Four chambers", "Short axis", "Two chambers"]
         names = {"axial": "four_chamber", "coronal": "short_axis", "sagittal": "two_chamber"}
         page.drawn()

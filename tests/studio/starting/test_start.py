@@ -73,6 +73,18 @@ def test_a_folder_shows_what_the_studio_opens_and_nothing_else(tmp_path):
     assert Roots.of([tmp_path]).listing(tmp_path / "painted.toml")["chosen"] == "painted.toml"
 
 
+def test_the_page_begins_where_the_studio_was_started(tmp_path):
+    home, inside, beside = tmp_path / "home", tmp_path / "home" / "work", tmp_path / "beside"
+    for folder in (inside / "scan", beside):
+        folder.mkdir(parents=True)
+    roots = Roots.of((home, inside)).beginning_in(inside)
+    assert roots.folders == (home,)
+    assert roots.listing(None)["path"] == str(inside)
+    # nothing to open there, or not to be looked into
+    assert Roots.of((home, beside)).beginning_in(beside).listing(None)["path"] == str(home)
+    assert Roots.of((home,)).beginning_in(beside).listing(None)["path"] == str(home)
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
 def test_pipes_are_left_alone(tmp_path):
     """Whoever opens one waits for somebody who writes into it."""

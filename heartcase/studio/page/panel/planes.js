@@ -24,6 +24,9 @@ export function runPlanes(studio, views, ask, onFault) {
   let lacks = [];
   let isNone = false;
 
+  /** What was chosen is seen in the slices, unless there is more to read here. */
+  const close = () => find("planes").hidePopover();
+
   /** @param {"heart" | "heart3"} name */
   const takeHeart = async (name) => {
     /** @type {Found} */
@@ -42,6 +45,7 @@ export function runPlanes(studio, views, ask, onFault) {
       if (found.centre_mm) views.lookAt(found.centre_mm);
     }
     tell();
+    if (planes && lacks.length === 0) close();
   };
 
   const tell = () => {
@@ -66,6 +70,7 @@ export function runPlanes(studio, views, ask, onFault) {
       else if (name === "scan" && studio.lattice.value) studio.planes.value = scanPlanes(studio.lattice.value);
       else studio.planes.value = PATIENT_PLANES;
       tell();
+      if (name !== "heart" && name !== "heart3") close();
     });
   }
   for (const [id, way] of /** @type {const} */ ([["turn-left", -1], ["turn-right", 1]])) {

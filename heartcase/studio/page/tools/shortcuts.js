@@ -82,6 +82,8 @@ export class Shortcuts {
     if (target.matches("button, input, a, summary, [role=tab]") && (key === "Enter" || key === " ")) return false;
     // a button that is disabled while it works loses the focus, also in a dialog
     if (target.closest("dialog, [popover]") || document.querySelector("dialog[open]")) return false;
+    // the browser closes it, unless the key is taken
+    if (key === "Escape" && document.querySelector(":popover-open")) return false;
     return this.#move(event, key) || this.#choose(event, key) || this.#act(event, key);
   }
 
