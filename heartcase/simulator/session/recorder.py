@@ -14,6 +14,7 @@ from typing import BinaryIO
 
 from heartcase import __version__
 from heartcase.schemas.bundle.format import CaseManifest
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.errors import RecordingError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recording.commands import Entry
@@ -71,6 +72,8 @@ class Recorder:
     RecordingError
         There is something at the path, its folder does not exist or cannot be written, or the session began with a
         lattice that was cut or joined. Nothing is left at the path but what was there.
+    UsageError
+        The path lies in a case.
     """
 
     def __init__(
@@ -160,6 +163,7 @@ class Recorder:
         self.finish()
 
     def _make_folder(self) -> None:
+        refuse_inside_case(self.path, place="out")
         try:
             self.path.mkdir()
         except FileExistsError:
