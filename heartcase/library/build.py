@@ -22,7 +22,7 @@ from heartcase.compiling.compile_ahead import core_count
 from heartcase.library.interrupts import held_interrupts, inherited_deafness
 from heartcase.library.plan import CaseRecord, LibraryCase, is_up_to_date, read_record, write_record
 from heartcase.library.progress import StageNews, TellingListener, heard
-from heartcase.schemas.errors import UsageError
+from heartcase.schemas.errors import Problem, UsageError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -34,6 +34,7 @@ __all__ = [
     "connected",
     "default_workers",
     "has_dashboard",
+    "make_folders",
     "stale_cases",
 ]
 
@@ -209,6 +210,26 @@ def stale_cases(cases: tuple[LibraryCase, ...], out: Path, *, force: bool = Fals
         Whether cases that are up to date are built as well.
     """
     return tuple(case for case in cases if not case.problems and (force or not is_up_to_date(case, out)))
+
+
+def make_folders(out: Path, cache: Path | None) -> None:
+    """Make the folders of the cases and of the cache, before any worker starts.
+
+    Raises
+    ------
+    UsageError
+        One cannot be made.
+    """
+    problems = []
+    for folder, place in ((out, "--out"), (cache, "--cache")):
+        try:
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = (error.strerror or "the system gives no reason").lower()
+            problems.append(Problem(place, f"the folder cannot be made: {reason}"))
+    if problems:
+        raise UsageError(problems)
 
 
 def build_cases(

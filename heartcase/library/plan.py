@@ -12,8 +12,9 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,20 @@ from heartcase.pipeline.stages.table import stage_versions
 from heartcase.schemas.bundle.format import WarningGrade
 from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
-from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
+from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
+from heartcase.schemas.scripts.incision_plans import IncisionPlans
+from heartcase.schemas.scripts.script import SimulationScript
 
-__all__ = ["CaseRecord", "LibraryCase", "files_written", "is_up_to_date", "plan_library", "read_record", "write_record"]
+__all__ = [
+    "CaseRecord",
+    "LibraryCase",
+    "files_written",
+    "is_up_to_date",
+    "plan_library",
+    "read_record",
+    "skipped_words",
+    "write_record",
+]
 
 RECORDS = ".heartcase-library"
 """Folder of the records, beside the cases."""
@@ -88,11 +100,19 @@ class CaseRecord:
         return replace(self, seconds=round(seconds, 2), memory_peak_mb=memory_peak_mb)
 
 
-def plan_library(directory: Path) -> tuple[LibraryCase, ...]:
+def plan_library(directory: Path, *, skip: Callable[[str], None] = lambda name: None) -> tuple[LibraryCase, ...]:
     """The recipes below a folder, by name; those that cannot be built say why.
 
     TOML files that are no recipes, and what lies in hidden folders, are passed over. Name and inputs of sound recipes
     are kept in the user's own cache folder and not beside the cases, as a path may be named after a patient.
+
+    Parameters
+    ----------
+    directory
+        The folder.
+    skip
+        Is told each TOML file that has no ``heartcase_recipe`` and is no script and no plan either, by its path below
+        the folder: a recipe in which that key is misspelt is one.
 
     Raises
     ------
@@ -104,22 +124,36 @@ def plan_library(directory: Path) -> tuple[LibraryCase, ...]:
     kept = _known_file(directory)
     known = _read_known(kept)
     sound: Known = {}
-    found = (_planned(path, directory, known, sound) for path in _toml_files(directory))
+    skipped: list[str] = []
+    found = (_planned(path, directory, known, sound, skipped) for path in _toml_files(directory))
     cases = [case for case in found if case is not None]
     if sound != known:
         with contextlib.suppress(OSError):
             _write_whole(kept, {"software": __version__, "recipes": sound})
+    for name in skipped:
+        skip(name)
     if not cases:
-        raise UsageError("no recipe was found in this folder or below: write one with  heartcase new SCAN", place="DIR")
-    count = Counter(case.name for case in cases)
+        also = f" ({skipped_words(skipped)})" if skipped else ""
+        raise UsageError(
+            f"no recipe was found in this folder or below{also}: write one with  heartcase new SCAN", place="DIR"
+        )
+    # Upper and lower case make one folder on Windows and macOS.
+    count = Counter(case.name.casefold() for case in cases)
 
     def one_of_several(case: LibraryCase) -> LibraryCase:
-        files = sorted(one.recipe.relative_to(directory).as_posix() for one in cases if one.name == case.name)
-        message = f"{len(files)} recipes have this name ({', '.join(files)}): give each its own"
+        same = [one for one in cases if one.name.casefold() == case.name.casefold()]
+        files = sorted(one.recipe.relative_to(directory).as_posix() for one in same)
+        but = ", but for upper and lower case" if len({one.name for one in same}) > 1 else ""
+        message = f"{len(files)} recipes have this name{but} ({', '.join(files)}): give each its own"
         return replace(case, stamp="", problems=(*case.problems, Problem("name", message)))
 
-    named = (one_of_several(case) if count[case.name] > 1 else case for case in cases)
+    named = (one_of_several(case) if count[case.name.casefold()] > 1 else case for case in cases)
     return tuple(sorted(named, key=lambda case: (case.name, case.recipe)))
+
+
+def skipped_words(names: Sequence[str]) -> str:
+    """Which TOML files were skipped and why, in one line."""
+    return f"skipped: {', '.join(names)} ({'they have' if len(names) > 1 else 'it has'} no heartcase_recipe = 1)"
 
 
 def is_up_to_date(case: LibraryCase, out: Path) -> bool:
@@ -171,11 +205,13 @@ def _toml_files(directory: Path) -> Iterator[Path]:
         yield from (Path(folder) / name for name in sorted(files) if name.endswith(".toml"))
 
 
-def _planned(path: Path, directory: Path, known: Known, sound: Known) -> LibraryCase | None:
+def _planned(path: Path, directory: Path, known: Known, sound: Known, skipped: list[str]) -> LibraryCase | None:
     fallback = path.relative_to(directory).with_suffix("").as_posix().replace("/", "-")
     try:
         text = read_recipe_text(path)
         if "heartcase_recipe" not in text:
+            if not _is_script_or_plans(text):
+                skipped.append(path.relative_to(directory).as_posix())
             return None
         sha256 = hashlib.sha256(text.encode()).hexdigest()
         row = known.get(sha256)
@@ -193,6 +229,14 @@ def _planned(path: Path, directory: Path, known: Known, sound: Known) -> Library
     except OSError as error:
         message = f"it cannot be read: {(error.strerror or 'the system gives no reason').lower()}"
         return LibraryCase(fallback, path, "", (Problem("recipe", message),))
+
+
+def _is_script_or_plans(text: str) -> bool:
+    """Whether a TOML file that is no recipe says as much of what only scripts and plans say as of a recipe."""
+    keys = set(re.findall(r"^\s*\[{0,2}\s*(\w+)", text, re.MULTILINE))
+    of_recipes, of_others = set(Recipe.model_fields), {*SimulationScript.model_fields, *IncisionPlans.model_fields}
+    said = len(keys & (of_others - of_recipes))
+    return said > 0 and said >= len(keys & (of_recipes - of_others))
 
 
 def _known_file(directory: Path) -> Path:

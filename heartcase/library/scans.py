@@ -10,6 +10,7 @@ from typing import Any
 from heartcase.phantom.version import PHANTOM_VERSION
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.formats.write_images import write_scan
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import TEMPORARY_PREFIX, atomic_write, remove_leftovers, sha256_of_file
 from heartcase.schemas.recipe.phantom_scan import PhantomScan
@@ -43,12 +44,13 @@ def ensure_scan(source: ScanSource, directory: Path) -> bool:
     Raises
     ------
     UsageError
-        Another file has its place, which is left as it is, or it cannot be written.
+        Another file has its place, which is left as it is, its place is in a case, or it cannot be written.
     """
     if scan_is_made(source, directory):
         return False
     assert source.phantom is not None
     path = directory / source.path
+    refuse_inside_case(path, place="scan.path")
     if path.exists() and _read_note(path).get("scan_sha256") != sha256_of_file(path):
         raise UsageError(
             f"a file that was not made for this recipe lies where its scan goes ({path.name}): move it, or change path",

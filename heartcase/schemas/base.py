@@ -5,12 +5,22 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
-from pydantic_core import CoreSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+)
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 __all__ = [
     "BladePoses",
@@ -22,6 +32,7 @@ __all__ = [
     "LipLine",
     "Model",
     "Name",
+    "OneOf",
     "Outline",
     "PadLimit",
     "PadStiffness",
@@ -100,6 +111,48 @@ class Model(BaseModel):
                 properties[key].setdefault("description", text)
         return schema
 
+
+@dataclass(frozen=True)
+class OneOf:
+    """Added to a type that has alternatives of different kinds: a value that is none is one mistake, in these words.
+
+    pydantic would tell what is wrong with it as each of the alternatives, by the names that these have in the code.
+    What is wrong within a table or a text is told as it is where one alternative is such a thing.
+    """
+
+    words: str
+    """What the value must be, behind ``must be``."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """The schema of the alternatives, with this around it."""
+        return core_schema.no_info_wrap_validator_function(self._checked, handler(source))
+
+    def _checked(self, value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        try:
+            return handler(value)
+        except ValidationError as error:
+            details = error.errors(include_url=False)
+        of_another_kind = {one["loc"][0] for one in details if len(one["loc"]) == 1 and one["type"] in _OTHER_KINDS}
+        fitting = [one for one in details if one["loc"] and one["loc"][0] not in of_another_kind]
+        if not isinstance(value, str | dict):
+            fitting = [one for one in fitting if one["type"] == "value_error"]
+        if not fitting:
+            raise PydanticCustomError(_ONE_OF, "must be {words}", {"words": self.words})
+        lines = [
+            InitErrorDetails(
+                type=PydanticCustomError(_ONE_OF, one["msg"]) if one["type"] == _ONE_OF else one["type"],
+                loc=one["loc"][1:],
+                input=one["input"],
+                ctx=one.get("ctx", {}),
+            )
+            for one in fitting
+        ]
+        raise ValidationError.from_exception_data("alternatives", lines)
+
+
+_ONE_OF = "one_of"
+_OTHER_KINDS = ("string_type", "tuple_type", "model_type", "model_attributes_type", "bool_type", "float_type")
+"""Types of errors that say that a value is of another kind than an alternative."""
 
 Vector3 = tuple[float, float, float]
 """Three numbers, in the order x, y, z."""

@@ -325,6 +325,7 @@ def _dotted(location: tuple[int | str, ...], place: str) -> str:
     for part in location:
         if isinstance(part, int):
             dotted += f"[{part + 1}]"
-        else:
+        # What pydantic adds where a name itself is wrong, and not what stands under it.
+        elif part != "[key]":
             dotted = _joined(dotted, part)
     return dotted

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from itertools import combinations
 from typing import Annotated, Any
@@ -11,9 +11,10 @@ from typing import Annotated, Any
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from heartcase.schemas.base import Colour, Model, Name
+from heartcase.schemas.errors import ModelProblems, Problem
 from heartcase.schemas.terms import TERMS, Term, normalised, term_by_code, term_by_name
 
-__all__ = ["BACKGROUND", "Label", "LabelTable", "Role", "default_label_table"]
+__all__ = ["BACKGROUND", "Label", "LabelTable", "Role", "default_label_table", "repeated_names"]
 
 _MYOCARDIUM = next(term for term in TERMS if term.name == "myocardium")
 
@@ -116,22 +117,19 @@ class LabelTable(Model):
     @field_validator("labels")
     @classmethod
     def _check(cls, labels: tuple[Label, ...]) -> tuple[Label, ...]:
+        repeated = _repeated(labels)
         labels = tuple(sorted(labels, key=lambda label: label.value))
         if not labels or labels[0].value != BACKGROUND:
             labels = (
                 Label(value=BACKGROUND, name="background", role=Role.BACKGROUND, colour="#000000"),
                 *labels,
             )
-        problems = []
+        problems = repeated
         if labels[0].role is not Role.BACKGROUND:
             problems.append(f"label value 0 is the background and cannot have the role {labels[0].role.value!r}")
         seen_values: dict[int, str] = {}
         seen_names: dict[str, int] = {}
         for label in labels:
-            if label.value in seen_values:
-                problems.append(f"value {label.value} is used by {seen_values[label.value]!r} and by {label.name!r}")
-            if label.name.lower() in seen_names:
-                problems.append(f"the name {label.name!r} is used twice")
             if label.wall_thickness_mm > 0.0 and not label.role.is_blood:
                 problems.append(f"{label.name!r}: only a blood or vessel_lumen label can grow a wall")
             named, coded = term_by_name(label.name), term_by_code(label.snomed or "")
@@ -152,7 +150,7 @@ class LabelTable(Model):
             if label.septum_of is not None and not set(label.septum_of) <= set(seen_values):
                 problems.append(f"{label.name!r}: septum_of names a value that is not in the table")
         if problems:
-            raise ValueError("; ".join(problems))
+            raise ModelProblems(Problem("", message) for message in problems)
         return labels
 
     def __iter__(self) -> Iterator[Label]:  # type: ignore[override]
@@ -300,6 +298,36 @@ class LabelTable(Model):
         return self.with_label(
             Label(value=value, name=name, role=Role.WALL, colour=colour, septum_of=(low.value, high.value))
         )
+
+
+def _repeated(labels: Sequence[Label]) -> list[str]:
+    """The values and names that several labels have, each once, with the rows that have it."""
+    problems = []
+    rows_of_value: dict[int, list[int]] = {}
+    for row, label in enumerate(labels, start=1):
+        rows_of_value.setdefault(label.value, []).append(row)
+    for value, rows in rows_of_value.items():
+        if len(rows) > 1:
+            names = ", ".join(dict.fromkeys(repr(labels[row - 1].name) for row in rows))
+            problems.append(f"value {value} is used by {_rows_in_words(rows)} ({names}): give each its own")
+    return problems + repeated_names([label.name for label in labels])
+
+
+def repeated_names(names: Sequence[str]) -> list[str]:
+    """What to say of each name that several rows have, case aside: once, with the rows."""
+    rows_of: dict[str, list[int]] = {}
+    for row, name in enumerate(names, start=1):
+        rows_of.setdefault(name.lower(), []).append(row)
+    return [
+        f"the name {names[rows[0] - 1]!r} is used by {_rows_in_words(rows)}: give each its own"
+        for rows in rows_of.values()
+        if len(rows) > 1
+    ]
+
+
+def _rows_in_words(rows: Sequence[int]) -> str:
+    """Several rows in words: ``rows 1, 2 and 5``."""
+    return f"rows {', '.join(map(str, rows[:-1]))} and {rows[-1]}"
 
 
 def _septum_name(low: Label, high: Label) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import trimesh
 from PIL import Image, ImageSequence
 
 from heartcase.cli.main import main
+from heartcase.cli.sessions.compare_incisions import _Wanted
 from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.session.planned_incisions import load_plans, parse_plans
 from tests.hollow_case import CELL_MM, SIZE, hollow_case
@@ -137,3 +140,11 @@ def test_the_sample_plans_can_be_read():
         assert f'name = "{path.stem}"' in recipe
         for plan in load_plans(path).plans:
             assert all(cut.landmark is None or f'name = "{cut.landmark}"' in recipe for cut in plan.cuts)
+
+
+def test_files_of_cases_with_one_name_are_refused_before_a_folder_is_made(tmp_path):
+    cases = [SimpleNamespace(manifest=SimpleNamespace(name=name)) for name in ("same", "SAME", "other")]
+    wanted = _Wanted(tmp_path / "pictures", None, None, None, False, "cpu", 0.0)
+    with pytest.raises(UsageError, match=r"one name \(SAME, same\): compare them one at a time"):
+        wanted.make_folders(cases, ())
+    assert not any(tmp_path.iterdir())

@@ -335,7 +335,7 @@ def test_key_file_alone_says_whose_case_it_is(hospital: Path, tmp_path: Path, ea
     assert key.read_bytes() == first
     assert found_in_tree(out, TOKENS) == {}
     inside = ear.run("build", recipe, "--out", out, "--key-file", out / "ball.case" / "keys.jsonl", code=2)
-    assert "inside the case" in inside
+    assert "the folder of a case, or lies in one" in inside
 
 
 def test_places_that_cannot_be_read_are_not_named(hospital: Path, tmp_path: Path, ear: Ear) -> None:

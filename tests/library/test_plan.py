@@ -14,6 +14,7 @@ from heartcase.library.plan import (
     is_up_to_date,
     plan_library,
     read_record,
+    skipped_words,
     write_record,
 )
 from heartcase.schemas.errors import UsageError
@@ -52,6 +53,36 @@ def test_all_that_cannot_be_built_says_why(library):
     assert "scan.path" in words["gone.toml"]
     assert "grid.cell_mm" in words["wrong.toml"]
     assert [case.stamp == "" for case in cases] == [True, True, False, True, True]
+
+
+def test_names_that_differ_in_upper_and_lower_case_alone_are_one_folder(library):
+    one = (library / "group 0" / "ball.toml").read_text().replace("../scan.nii.gz", "scan.nii.gz")
+    (library / "twin.toml").write_text(one.replace("ball-0", "BALL-0"))
+    cases = plan_library(library)
+    assert [(case.name, bool(case.problems)) for case in cases] == [
+        ("BALL-0", True), ("ball-0", True), ("ball-1", False),
+    ]  # fmt: skip
+    for case in cases[:2]:
+        told = (
+            "2 recipes have this name, but for upper and lower case (group 0/ball.toml, twin.toml): give each its own"
+        )
+        assert str(case.problems[0]) == f"name: {told}"
+
+
+def test_a_recipe_with_a_misspelt_key_is_told_as_skipped(library):
+    (library / "wrong.toml").write_text((library / "group 0" / "ball.toml").read_text().replace("_recipe", "_recipi"))
+    (library / "group 1" / "empty.toml").write_text("")
+    (library / "pull.toml").write_text('seconds = 1.0\n[[grabs]]\nname = "a"\n')
+    (library / "plans.toml").write_text("heartcase_plans = 1\n[[plans]]\n")
+    skipped = []
+    assert len(plan_library(library, skip=skipped.append)) == 2
+    assert skipped == ["wrong.toml", "group 1/empty.toml"]
+    assert skipped_words(skipped) == "skipped: wrong.toml, group 1/empty.toml (they have no heartcase_recipe = 1)"
+    for path in library.glob("*/ball.toml"):
+        path.unlink()
+    (library / "group 1" / "empty.toml").unlink()
+    with pytest.raises(UsageError, match=r"no recipe .* \(skipped: wrong.toml \(it has no heartcase_recipe = 1\)\)"):
+        plan_library(library)
 
 
 @pytest.mark.parametrize("place", ["nothing", "empty", "scan.nii.gz"])

@@ -36,8 +36,8 @@ def test_every_problem_of_a_table_is_reported():
             )
         )
     text = str(error.value)
-    assert "value 1 is used by" in text
-    assert "'A' is used twice" in text
+    assert "value 1 is used by rows 1 and 2 ('a', 'A')" in text
+    assert "the name 'a' is used by rows 1 and 2" in text
     assert "only a blood or vessel_lumen label" in text
 
 

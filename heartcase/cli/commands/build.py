@@ -13,8 +13,8 @@ from rich.progress import TaskID, TimeElapsedColumn
 from heartcase.cli.shared.clock import INTERRUPTED, command_seconds
 from heartcase.cli.shared.compiling import Compiling
 from heartcase.cli.shared.output import echo_json, echo_warnings, working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.stage_bars import TimedBar, TimeLeft, stage_result
-from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 
 __all__ = ["command"]
@@ -52,13 +52,11 @@ class _Bar:
 @click.argument("recipe", type=click.Path(path_type=Path, readable=False))
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(is_folder=True),
     default=Path(),
     help="Where the case goes; here by default.",
 )
-@click.option(
-    "--cache", type=click.Path(path_type=Path, readable=False), help="Directory of the cache; OUT/.heartcase-cache."
-)
+@click.option("--cache", type=OutputPath(is_folder=True), help="Directory of the cache; OUT/.heartcase-cache.")
 @click.option("--force", is_flag=True, help="Compute every stage anew.")
 @click.option(
     "--until",
@@ -69,7 +67,7 @@ class _Bar:
 @click.option("--replace", is_flag=True, help="Replace a case of this name that was made from another scan.")
 @click.option(
     "--key-file",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(),
     help="Add a line that says whose case it is to this file. Patient data: keep it where that may be.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -95,8 +93,6 @@ def command(
     from heartcase.pipeline.bundle.case_id import add_to_key_file, check_key_file
 
     loaded = load_recipe(recipe)
-    if out.exists() and not out.is_dir():
-        raise UsageError("this is a file: give the folder that the case is to go into", place="--out")
     if key_file is not None:
         check_key_file(key_file, out / f"{loaded.name}.case")
     makes_scan = not scan_is_made(loaded.scan, recipe.parent)

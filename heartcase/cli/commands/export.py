@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from heartcase.cli.shared.output import echo_json, error_console, file_size, working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.schemas.bundle.format import LEVEL_MAX, CaseManifest, FileRole
 from heartcase.schemas.errors import BundleError, Problem, UsageError
 from heartcase.schemas.files import atomic_write
@@ -275,6 +276,8 @@ def _suffix_of(name: str, is_recorded: bool) -> str:
     """
     endings = RECORDED_FORMATS if is_recorded else ENDINGS
     for ending in endings:
+        if name.lower() == ending:
+            raise UsageError(f"is an ending alone: put a name before it, such as heart{ending}", place="--out")
         if name.lower().endswith(ending):
             return ending
     raise UsageError(
@@ -345,7 +348,7 @@ def _site_problems(cases: Sequence[Path], output: Path, is_web: bool) -> list[Pr
     "-o",
     "--out",
     "output",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(),
     required=True,
     help="The file to write; of several CASEs, or with --web, the folder. Labels: .seg.nrrd"
     " or .dcm (DICOM SEG) with names, colours and codes; .nii.gz or .nrrd "

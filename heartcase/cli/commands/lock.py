@@ -7,6 +7,8 @@ from pathlib import Path
 import click
 
 from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output_path import OutputPath
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recipe.recipe import load_recipe
@@ -18,9 +20,7 @@ SUFFIX = ".lock.toml"
 
 @click.command()
 @click.argument("recipe", type=click.Path(path_type=Path, readable=False))
-@click.option(
-    "--out", type=click.Path(path_type=Path, readable=False), help="The locked recipe; NAME.lock.toml beside RECIPE."
-)
+@click.option("--out", type=OutputPath(), help="The locked recipe; NAME.lock.toml beside RECIPE.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
 @working("reading the scan")
 def command(recipe: Path, out: Path | None, force: bool) -> None:
@@ -31,8 +31,9 @@ def command(recipe: Path, out: Path | None, force: bool) -> None:
     """
     from heartcase.pipeline.building.lock import lock_recipe, recipe_text
 
-    loaded = load_recipe(recipe)
     out = out or recipe.with_name(f"{recipe.name.removesuffix('.toml').removesuffix('.lock')}{SUFFIX}")
+    refuse_inside_case(out, place="--out")
+    loaded = load_recipe(recipe)
     if out.exists() and not force:
         raise UsageError("there is already a file of this name: choose another --out, or give --force", place="--out")
     if not out.absolute().parent.is_dir():

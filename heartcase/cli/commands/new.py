@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.stage_io import scan_options
 
 __all__ = ["command"]
@@ -15,9 +16,7 @@ __all__ = ["command"]
 
 @click.command()
 @click.argument("scan", type=click.Path(path_type=Path, readable=False))
-@click.option(
-    "--out", type=click.Path(path_type=Path, readable=False), default=Path("case.toml"), help="The recipe; case.toml."
-)
+@click.option("--out", type=OutputPath(), default=Path("case.toml"), help="The recipe; case.toml.")
 @click.option("--name", help="Name of the case: not the patient's. Made up when left out.")
 @scan_options
 @click.option("--force", is_flag=True, help="Replace a recipe that is there.")

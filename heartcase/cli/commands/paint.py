@@ -13,6 +13,7 @@ import click
 from pydantic import Field, TypeAdapter, ValidationError
 
 from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.schemas.base import Model
 from heartcase.schemas.errors import HeartcaseError, Problem, UsageError, problems_from_validation
 from heartcase.schemas.recipe.settings import Stroke
@@ -78,10 +79,10 @@ voxel, i fastest. The end of the input ends it too; strokes that were not saved 
 
 
 @click.command(help=_HELP)
-@click.argument("recipe", type=click.Path(path_type=Path, readable=False))
+@click.argument("recipe", type=OutputPath())
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(is_folder=True),
     default=Path(),
     help="Where the case goes, with the build's cache; here by default.",
 )

@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
@@ -46,7 +47,7 @@ def _is_number(text: str) -> bool:
 
 
 @click.command(cls=_SpacingCommand, name="phantom")
-@click.argument("out_dir", type=click.Path(file_okay=False, path_type=Path, readable=False))
+@click.argument("out_dir", type=OutputPath(is_folder=True))
 @click.option("--size", type=click.Choice(["adult", "child"]), default="adult", show_default=True, help="Which heart.")
 @click.option(
     "--modality", type=click.Choice(["mri", "ct"]), default="mri", show_default=True, help="What kind of scan."

@@ -9,6 +9,7 @@ import click
 
 from heartcase.cli.commands.info import kind_of
 from heartcase.cli.shared.output import echo_json, file_size, working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.stage_io import scan_options
 from heartcase.schemas.bundle.format import LEVEL_MAX, FileRole
 from heartcase.schemas.bundle.reader import read_manifest
@@ -33,7 +34,7 @@ _STACKS = ("axial", "coronal", "sagittal")
     "--out",
     "--output",
     "output",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(),
     required=True,
     help="The picture to write (.png).",
 )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.published.json_schemas import schema_files
@@ -15,7 +16,7 @@ __all__ = ["command"]
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("--out", type=click.Path(path_type=Path, readable=False), help="Write all of them into this directory.")
+@click.option("--out", type=OutputPath(is_folder=True), help="Write all of them into this directory.")
 def command(name: str | None, out: Path | None) -> None:
     """Print the JSON Schema NAME, list the names, or write all into a directory."""
     files = schema_files()

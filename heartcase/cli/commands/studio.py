@@ -10,6 +10,7 @@ import click
 
 from heartcase.cli.commands.info import kind_of
 from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.stage_io import scan_options
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
@@ -21,13 +22,13 @@ __all__ = ["command"]
 @click.argument("path", required=False, type=click.Path(path_type=Path, readable=False))
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(is_folder=True),
     default=Path(),
     help="Where the case goes, with the build's cache; here by default.",
 )
 @click.option(
     "--recipe",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(),
     help="For a scan: the recipe that is written for it; case.toml. For a folder of DICOM files, too.",
 )
 @scan_options

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from heartcase.cli.shared.output import echo_json, print_table, working
+from heartcase.cli.shared.output_path import OutputPath
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.errors import UsageError
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ __all__ = ["command"]
 @click.argument("recipe", type=click.Path(path_type=Path, readable=False))
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(is_folder=True),
     default=Path(),
     help="Where the case goes, with the build's cache; here by default.",
 )
@@ -39,6 +41,8 @@ def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_jso
     --write puts them there; the rest of it stays, but for ends = "automatic", which they take the place of.
     """
     if ends:
+        if write:
+            refuse_inside_case(recipe, place="RECIPE")
         _suggest_ends(recipe, out, write=write, as_json=as_json)
         return
     if write:

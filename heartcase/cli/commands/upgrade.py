@@ -12,6 +12,7 @@ import click
 from heartcase import __version__
 from heartcase.cli.shared.output import echo_json, working
 from heartcase.schemas.bundle.format import FORMAT_VERSION, VERSION_WITHOUT_SEPTA
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.bundle.reader import read_manifest
 from heartcase.schemas.errors import MissingPathError, UsageError
 from heartcase.schemas.files import atomic_write
@@ -49,6 +50,8 @@ def command(path: Path, write: bool, as_json: bool) -> None:
     Of a locked recipe, that is each setting whose default is another one today, and each stage whose version differs.
     Nothing is changed without --write.
     """
+    if write and path.is_file():
+        refuse_inside_case(path, place="PATH")
     found = preview(path)
     backup = _write(path, found) if write else None
     if as_json:

@@ -13,6 +13,7 @@ from heartcase.cli.shared.tours import tour_findings
 from heartcase.pipeline.warnings import CaseWarning
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.check import check_bundle
+from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import HeartcaseError, Problem, RecipeError, UsageError
 from heartcase.schemas.recipe.recipe import Recipe, load_recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.recording.reader import check_recording, is_recording
@@ -20,6 +21,12 @@ from heartcase.schemas.scripts.script import SimulationScript
 from heartcase.schemas.touring.reading import is_tour
 
 __all__ = ["command"]
+
+
+_NO_KIND = (
+    "this file is neither a recipe nor a script (.toml) nor a tour (.tour.md): give one, or the folder of a case or "
+    "of a recording; for a scan, take info"
+)
 
 
 @click.command()
@@ -40,14 +47,15 @@ def command(ctx: click.Context, path: Path, as_json: bool, case: Path | None, ru
     recipe. On a built case, --run does all that it does, step by step.
     Exit code 0: sound; 1: problems were found.
     """
-    if is_tour(path):
+    is_case = (path / MANIFEST_NAME).is_file()
+    if is_tour(path) and not is_case:
         found = _Findings(*tour_findings(path, case, run=run))
     elif case is not None or run:
         raise UsageError("--case and --run are for guided tours (.tour.md)", place="PATH")
     else:
         found = _findings(path)
     problems = found.problems
-    approval = approval_state(path) if path.is_dir() and not is_recording(path) else None
+    approval = approval_state(path) if is_case and not is_recording(path) else None
     if as_json:
         listed = [{"place": problem.place, "message": problem.message} for problem in problems]
         stated = {"approval": approval.as_dict()} if approval else {}
@@ -78,6 +86,10 @@ def _findings(path: Path) -> _Findings:
         return _Findings((Problem("PATH", "there is nothing at this path: check its spelling"),))
     if is_recording(path):
         return _Findings(tuple(check_recording(path)))
+    if path.is_file() and path.suffix != ".toml":
+        return _Findings((Problem("PATH", _NO_KIND),))
+    if path.is_dir() and path.suffix == ".toml" and not (path / MANIFEST_NAME).is_file():
+        return _Findings((Problem("PATH", "this is a folder, and recipes and scripts are files: give the .toml file"),))
     if path.suffix != ".toml" or not path.is_file():
         return _Findings(check_bundle(path))
     try:

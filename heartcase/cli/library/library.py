@@ -14,8 +14,10 @@ from heartcase.cli.library.progress import LibraryProgress
 from heartcase.cli.library.review import check, diff
 from heartcase.cli.shared.clock import INTERRUPTED, command_seconds
 from heartcase.cli.shared.output import echo_json, error_console, print_table, working
-from heartcase.library.plan import CaseRecord, LibraryCase, read_record
+from heartcase.cli.shared.output_path import OutputPath
+from heartcase.library.plan import CaseRecord, LibraryCase, read_record, skipped_words
 from heartcase.pipeline.warnings import WarningGrade, counted
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.errors import Problem, UsageError
 
 __all__ = ["command"]
@@ -32,10 +34,8 @@ command.add_command(diff)
 
 @command.command()
 @click.argument("directory", metavar="DIR", type=click.Path(path_type=Path, readable=False))
-@click.option("--out", type=click.Path(path_type=Path, readable=False), default=Path("library"), show_default=True)
-@click.option(
-    "--cache", type=click.Path(path_type=Path, readable=False), help="Folder of the cache; OUT/.heartcase-cache."
-)
+@click.option("--out", type=OutputPath(is_folder=True), default=Path("library"), show_default=True)
+@click.option("--cache", type=OutputPath(is_folder=True), help="Folder of the cache; OUT/.heartcase-cache.")
 @click.option("--workers", type=int, help="Processes on this machine; left out: as cores and memory allow.")
 @click.option(
     "--memory-mb", type=int, help="Memory beyond which a worker is stopped; left out: its share of what there is."
@@ -58,7 +58,14 @@ def build(
     Only what changed is built. A case that fails is listed, and does not stop the others; what was interrupted goes on
     from there when the library is built again. Exits with 1 where a case failed.
     """
-    from heartcase.library.build import build_cases, connected, default_workers, has_dashboard, stale_cases
+    from heartcase.library.build import (
+        build_cases,
+        connected,
+        default_workers,
+        has_dashboard,
+        make_folders,
+        stale_cases,
+    )
     from heartcase.library.kernels_ahead import library_kernels_ahead
     from heartcase.library.plan import plan_library
 
@@ -70,7 +77,8 @@ def build(
         raise UsageError("no address is given: leave the option out to use this machine", place="--scheduler")
     start = time.perf_counter()
     local = default_workers(workers, memory_mb) if scheduler is None else None
-    cases = plan_library(directory)
+    skipped: list[str] = []
+    cases = plan_library(directory, skip=skipped.append)
     stale = stale_cases(cases, out, force=force)
     console = error_console()
 
@@ -79,11 +87,14 @@ def build(
 
     failed = [case for case in cases if case.problems]
     say(f"{counted(len(cases), 'recipe')}: {len(stale)} to build, {len(cases) - len(stale) - len(failed)} unchanged")
+    if skipped:
+        say(skipped_words(skipped))
     for case in failed:
         _say_failed(say, case.name, case.problems)
     planned_s = time.perf_counter() - start
     records: list[CaseRecord] = []
     if stale:
+        make_folders(out, cache)
         try:
             with connected(local, scheduler, say=say) as client:
                 if local is not None:
@@ -110,7 +121,7 @@ def build(
         except KeyboardInterrupt:
             say(f"heartcase: interrupted; {INTERRUPTED}")
             raise click.exceptions.Exit(130) from None
-    _tell(cases, failed, records, planned_s, command_seconds(), out, as_json=as_json)
+    _tell(cases, failed, skipped, records, planned_s, command_seconds(), out, as_json=as_json)
     if failed or any(record.problems for record in records):
         raise click.exceptions.Exit(1)
 
@@ -158,6 +169,7 @@ def _computed_s(built: Iterable[CaseRecord]) -> float:
 def _tell(
     cases: tuple[LibraryCase, ...],
     failed: list[LibraryCase],
+    skipped: list[str],
     records: list[CaseRecord],
     planned_s: float,
     seconds: float,
@@ -199,6 +211,7 @@ def _tell(
                     record.name: len(record.warnings) for record in unchanged if record.warnings
                 },
                 "failed": wrong,
+                "skipped": skipped,
                 "planning_seconds": round(planned_s, 3),
                 "seconds": round(seconds, 2),
             }
@@ -245,6 +258,8 @@ def draw(recipes: tuple[Path, ...], check: bool) -> None:
     from heartcase.library.draw import draw_recipe
 
     changed = 0
+    for path in () if check else recipes:
+        refuse_inside_case(path, place=path.name)
     for path in recipes:
         with working(f"drawing {path.name}"):
             changes = draw_recipe(path, write=not check)
@@ -255,8 +270,8 @@ def draw(recipes: tuple[Path, ...], check: bool) -> None:
 
 
 @command.command()
-@click.argument("out", type=click.Path(path_type=Path, readable=False))
-@click.option("--to", type=click.Path(path_type=Path, readable=False), help="Folder of the site; OUT/catalogue.")
+@click.argument("out", type=OutputPath())
+@click.option("--to", type=OutputPath(is_folder=True), help="Folder of the site; OUT/catalogue.")
 @click.option(
     "--language", "languages", metavar="CODE", multiple=True, help="Offer only this language, and English; repeatable."
 )
@@ -269,6 +284,7 @@ def catalogue(out: Path, to: Path | None, languages: tuple[str, ...], as_json: b
     """
     from heartcase.studio.catalogue.site import write_catalogue
 
+    refuse_inside_case(to or out / "catalogue", place="--to")
     console = error_console()
     result = write_catalogue(
         out, to, languages=languages, say=lambda name: console.print(f"  {name}", markup=False, soft_wrap=True)

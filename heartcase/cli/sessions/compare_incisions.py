@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
@@ -15,6 +16,7 @@ from heartcase.cli.shared.film import write_animation, write_picture
 from heartcase.cli.shared.incision_pictures import film_of_defect, stretch_colours, view_of_defect
 from heartcase.cli.shared.incision_results import CaseResult, markdown, page
 from heartcase.cli.shared.output import echo_json, json_ready
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import check_numbers, law_options, require_folder, session_bar, with_law
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, UsageError
 from heartcase.schemas.files import atomic_write
@@ -37,6 +39,7 @@ from heartcase.simulator.surface.write_surface import write_surface
 __all__ = ["command"]
 
 _PATH = click.Path(path_type=Path, readable=False)
+_FOLDER = OutputPath(is_folder=True)
 
 _FRAMES_PER_SECOND, _FILM_FRAMES_PER_SECOND = 25.0, 10.0
 """Frames of an animation in a second of simulated time, and in one of those who look at it."""
@@ -48,21 +51,27 @@ COMPARISON_VERSION = 1
 @click.command()
 @click.argument("cases", metavar="CASE...", type=_PATH, nargs=-1, required=True)
 @click.argument("plans", metavar="PLANS", type=_PATH)
-@click.option("-o", "--out", type=_PATH, help="Write the result here as JSON.")
+@click.option("-o", "--out", type=OutputPath(), help="Write the result here as JSON.")
 @click.option(
-    "--table", "table_out", type=_PATH, help="Write a table in Markdown here, a row for each plan and defect."
+    "--table", "table_out", type=OutputPath(), help="Write a table in Markdown here, a row for each plan and defect."
 )
-@click.option("--page", "page_out", type=_PATH, help="Write a page here (.html), with figures and pictures.")
+@click.option("--page", "page_out", type=OutputPath(), help="Write a page here (.html), with figures and pictures.")
 @click.option(
     "--pictures",
-    type=_PATH,
+    type=_FOLDER,
     help="A folder for pictures of each plan and defect (.png), stretch and stress as colours.",
 )
 @click.option(
-    "--animations", type=_PATH, help="A folder for animations of each plan and defect (.gif), from the best eye."
+    "--animations",
+    type=_FOLDER,
+    help="A folder for animations of each plan and defect (.gif), from the best eye.",
 )
-@click.option("--surfaces", type=_PATH, help="A folder for surfaces as they are held open (.ply), stretch as colours.")
-@click.option("--recordings", type=_PATH, help="A folder for a recording of each plan (NAME.recording).")
+@click.option(
+    "--surfaces",
+    type=_FOLDER,
+    help="A folder for surfaces as they are held open (.ply), stretch as colours.",
+)
+@click.option("--recordings", type=_FOLDER, help="A folder for a recording of each plan (NAME.recording).")
 @law_options
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
@@ -135,10 +144,15 @@ class _Wanted:
     sleep_mm: float
 
     def make_folders(self, cases: Sequence[Case], planned: Sequence[PlansOnCase]) -> None:
-        """Make the folders; UsageError where a recording is there already."""
-        for folder in (self.pictures, self.animations, self.surfaces, self.recordings):
-            if folder is not None:
-                folder.mkdir(exist_ok=True)
+        """Make the folders; UsageError where a recording is there already, or two cases' files have one name."""
+        folders = [one for one in (self.pictures, self.animations, self.surfaces, self.recordings) if one is not None]
+        count = Counter(_plain(case.manifest.name) for case in cases)
+        same = sorted({case.manifest.name for case in cases if count[_plain(case.manifest.name)] > 1})
+        if folders and same:
+            words = f"the files of several cases would have one name ({', '.join(same)}): compare them one at a time"
+            raise UsageError(words, place="CASE")
+        for folder in folders:
+            folder.mkdir(exist_ok=True)
         if self.recordings is not None:
             names = [
                 f"{_file_name(case, plan.name)}.recording"

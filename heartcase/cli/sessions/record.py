@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from heartcase.cli.shared.output import echo_json
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import (
     check_numbers,
     completed_script,
@@ -34,7 +35,7 @@ __all__ = ["command"]
     "-o",
     "--out",
     "output",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(),
     required=True,
     help="The folder to record into, NAME.recording; nothing may be there yet.",
 )

@@ -10,6 +10,7 @@ from typing import Any, get_args
 import click
 
 from heartcase.cli.shared.output import echo_json
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import check_numbers, require_folder, session_bar
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recording.reader import Recording, open_recording
@@ -40,7 +41,9 @@ _PATH = click.Path(path_type=Path, readable=False)
     "--take-over", "script_path", type=_PATH, help="A script (TOML) that goes on from there; its times begin there."
 )
 @click.option("--let-go", is_flag=True, help="With --take-over: first all instruments of the recording let go.")
-@click.option("-o", "--out", "output", type=_PATH, help="With --take-over: the folder to record into, NAME.recording.")
+@click.option(
+    "-o", "--out", "output", type=OutputPath(), help="With --take-over: the folder to record into, NAME.recording."
+)
 @click.option("--partial", is_flag=True, help="Take what is whole of a recording that was cut short or damaged.")
 @click.option(
     "--backend",

@@ -17,6 +17,7 @@ from heartcase.cli.shared.film import (
     write_picture,
 )
 from heartcase.cli.shared.output import echo_json
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import (
     check_numbers,
     completed_script,
@@ -46,7 +47,7 @@ __all__ = ["command"]
 
 FILM_FRAMES_PER_SECOND = 15.0
 """An animation takes up no more than this."""
-_OUT = click.Path(path_type=Path, dir_okay=False, readable=False)
+_OUT = OutputPath(dir_okay=False)
 
 
 @click.command()
@@ -60,7 +61,7 @@ _OUT = click.Path(path_type=Path, dir_okay=False, readable=False)
 @click.option("--picture", type=_OUT, help="Write a picture of start and furthest deformation (.png).")
 @click.option(
     "--templates",
-    type=click.Path(path_type=Path, file_okay=False, readable=False),
+    type=OutputPath(is_folder=True),
     help="Write the outline of each patch here, flat and to scale (NAME.svg, NAME.pdf).",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")

@@ -8,6 +8,7 @@ from typing import get_args
 import click
 
 from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import check_numbers, require_folder, with_law
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import RecordingError, UsageError
@@ -33,7 +34,7 @@ __all__ = ["command"]
 @click.option(
     "--record",
     "output",
-    type=click.Path(path_type=Path, readable=False),
+    type=OutputPath(),
     help="Record into this folder, NAME.recording, from the start; nothing may be there yet.",
 )
 @click.option("--level", type=click.IntRange(0, 8), default=0, help="Level of detail of the surface; 0 is the finest.")

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from heartcase.cli.shared.output import echo_warnings, working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.stage_io import scan_options
 from heartcase.cli.stages.run import stage_run
 from heartcase.schemas.errors import UsageError
@@ -17,7 +18,7 @@ __all__ = ["command"]
 
 @click.command()
 @click.argument("grid", type=click.Path(path_type=Path, readable=False))
-@click.argument("output", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=OutputPath(is_case=True))
 @click.option(
     "--scan",
     type=click.Path(path_type=Path, readable=False),

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.stage_io import save_output, stage_options
 from heartcase.cli.stages.run import node_of, stage_run
 
@@ -15,7 +16,7 @@ __all__ = ["command"]
 
 @click.command()
 @click.argument("structures", type=click.Path(path_type=Path, readable=False))
-@click.argument("output", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=OutputPath())
 @stage_options
 @working("making the grid")
 def command(structures: Path, output: Path, recipe: Path | None, sets: tuple[str, ...]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from heartcase.cli.shared.output import echo_warnings, working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.stage_io import save_output, scan_options, stage_options
 from heartcase.cli.stages.run import stage_run
 
@@ -16,7 +17,7 @@ __all__ = ["command"]
 
 @click.command()
 @click.argument("scan", type=click.Path(path_type=Path, readable=False))
-@click.argument("output", type=click.Path(path_type=Path, readable=False))
+@click.argument("output", type=OutputPath())
 @click.option(
     "--markers", multiple=True, type=click.Path(path_type=Path, readable=False), help="Marker file; repeatable."
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.stage_io import save_output, stage_options
 from heartcase.cli.stages.run import node_of, stage_run
 
@@ -15,10 +16,8 @@ __all__ = ["command"]
 
 @click.command()
 @click.argument("structures", type=click.Path(path_type=Path, readable=False))
-@click.argument("output", type=click.Path(path_type=Path, readable=False))
-@click.option(
-    "--glb", type=click.Path(path_type=Path, readable=False), help="Also write the surface as GLB for any viewer."
-)
+@click.argument("output", type=OutputPath())
+@click.option("--glb", type=OutputPath(), help="Also write the surface as GLB for any viewer.")
 @stage_options
 @working("making the surface")
 def command(structures: Path, output: Path, glb: Path | None, recipe: Path | None, sets: tuple[str, ...]) -> None:

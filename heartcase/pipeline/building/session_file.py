@@ -15,6 +15,7 @@ from heartcase.pipeline.stages.filter import STAGE as FILTER
 from heartcase.pipeline.stages.read import STAGE as READ
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.errors import RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.geometry import Geometry
@@ -74,7 +75,10 @@ class RecipeSession:
         RecipeError
             There is such a file, the recipe's strokes are one array, which cannot be added to, or the file cannot be
             written.
+        UsageError
+            It would lie in a case.
         """
+        refuse_inside_case(path, place="save_as")
         if path.exists() and path.resolve() not in {self.path.resolve(), *self.copies}:
             raise RecipeError(f"{path.name} is there already and is not replaced: choose another name", place="save_as")
         advice = "write its strokes as [[strokes]] tables instead of strokes = [...]"

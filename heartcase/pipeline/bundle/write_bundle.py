@@ -39,6 +39,7 @@ from heartcase.schemas.bundle.format import (
     StageRecord,
 )
 from heartcase.schemas.bundle.lattice import step_sizes
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.bundle.reader import read_manifest
 from heartcase.schemas.errors import BundleError
 from heartcase.schemas.files import LOCK_NAME, TEMPORARY_PREFIX, atomic_write, exclusive, remove_leftovers
@@ -341,8 +342,11 @@ def check_place(directory: Path | str) -> None:
     ------
     BundleError
         The case's name is taken by a file, or by a directory that holds other things.
+    UsageError
+        It lies in another case.
     """
     directory = Path(directory)
+    refuse_inside_case(directory, place="output", is_case=True)
     if directory.exists() and (not directory.is_dir() or not _is_ours(directory)):
         raise BundleError("there is something else in this place: choose another name or directory", place="output")
 

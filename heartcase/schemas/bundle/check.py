@@ -11,7 +11,7 @@ from typing import Any
 from heartcase.schemas.bundle.containers import labels_problems, render_problems, safetensors_problems
 from heartcase.schemas.bundle.format import LEVEL_MAX, MANIFEST_NAME, CaseManifest, FileRole
 from heartcase.schemas.bundle.manifest import listed_files, read_manifest, salvaged_manifest, stated
-from heartcase.schemas.bundle.reader import OpenBundle, inspect_files, stated_problems
+from heartcase.schemas.bundle.reader import OpenBundle, inspect_files, stated_problems, why_no_file
 from heartcase.schemas.bundle.surfaces import mapping_problems, picking_problems, surface_problems
 from heartcase.schemas.bundle.values import Arrays, figure_problems, grid_problems
 from heartcase.schemas.errors import BundleError, Problem
@@ -95,8 +95,8 @@ def _hash_problems(directory: Path, listed: list[tuple[str, str, Any, str]]) -> 
     """Of all files that the manifest names, also those of a newer version and those of entries that are wrong."""
     for name, role, _, sha256 in listed:
         file = directory / name
-        if file.is_symlink() or not file.is_file():
-            yield Problem(f"files.{role}", f"the file {name} is missing: build the case again")
+        if (reason := why_no_file(file)) is not None:
+            yield Problem(f"files.{role}", reason)
         elif sha256_of_file(file) != sha256:
             yield Problem(f"files.{role}", f"the content of {name} was changed: build the case again")
 

@@ -201,6 +201,13 @@ def open_bundle(path: Path | str) -> OpenBundle:
     return bundle
 
 
+def why_no_file(file: Path) -> str | None:
+    """Why a file of a case cannot be taken as it is there; None where it can."""
+    if file.is_symlink():
+        return f"the file {file.name} is a link: put the file itself in its place, or build the case again"
+    return None if file.is_file() else f"the file {file.name} is missing: build the case again"
+
+
 def inspect_files(directory: Path, manifest: CaseManifest) -> tuple[OpenBundle, list[Problem]]:
     """Look at the files that a manifest, perhaps a salvaged one, lists: sizes and array layouts.
 
@@ -223,8 +230,8 @@ def inspect_files(directory: Path, manifest: CaseManifest) -> tuple[OpenBundle, 
             continue
         roles.add(entry.role)
         names.add(entry.name)
-        if file.is_symlink() or not file.is_file():
-            problems.append(Problem(place, f"the file {entry.name} is missing: build the case again"))
+        if (reason := why_no_file(file)) is not None:
+            problems.append(Problem(place, reason))
             continue
         if (size := file.stat().st_size) != entry.size:
             problems.append(Problem(place, f"has {size} bytes instead of {entry.size}: it was changed"))

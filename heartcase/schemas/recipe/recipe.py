@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 from heartcase.schemas.about import About
 from heartcase.schemas.base import CaseId, Model, Name
 from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
-from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table
+from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table, repeated_names
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import RECIPE
 from heartcase.schemas.recipe.edit_settings import CloseDefect, Edit, Sculpt, SeptalDefect
@@ -321,11 +321,8 @@ class Recipe(Model):
         needs_markers = info.context is None or info.context["needs_markers"]
         if needs_markers and self.segment.method == "watershed" and not self.markers and not self.strokes:
             problems.append(Problem("segment", "the watershed needs markers: add [[markers]] or [[strokes]]"))
-        seen: set[str] = set()
-        for landmark in self.landmarks:
-            if landmark.name.lower() in seen:
-                problems.append(Problem("landmarks", f"the name {landmark.name!r} is used twice"))
-            seen.add(landmark.name.lower())
+        names = [landmark.name for landmark in self.landmarks]
+        problems += [Problem("landmarks", message) for message in repeated_names(names)]
         if Part.RENDER in self.parts and Part.SURFACE not in self.parts:
             problems.append(Problem("parts", "'render' needs 'surface': add it, or leave 'render' out"))
         if problems:

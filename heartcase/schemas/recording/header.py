@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, ValidationError
 
-from heartcase.schemas.base import CaseId, Model, Name, Vector3
+from heartcase.schemas.base import CaseId, Model, Name, OneOf, Vector3
 from heartcase.schemas.errors import RecordingError, problems_from_validation
 from heartcase.schemas.recording.commands import COMMANDS_VERSION
 from heartcase.schemas.strict_json import parse_json
@@ -38,6 +38,9 @@ HEADER_SIZE_MAX = 1 << 20
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 _Positive = Annotated[float, Field(gt=0.0)]
 _NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+_LawSetting = Annotated[str | bool | float, OneOf("text, true, false, or a finite number")]
 
 
 class RecordingParent(Model):
@@ -83,7 +86,7 @@ class RecordingHeader(Model):
     """Nodes at the start."""
     cell_mm: _Positive
     """Edge of a cell, mm."""
-    law: dict[Annotated[str, Field(pattern=r"^[a-z_]{1,32}$")], str | bool | float]
+    law: dict[Annotated[str, Field(pattern=r"^[a-z_]{1,32}$")], _LawSetting]
     """The force law: its settings by name."""
     step_s: _Positive
     """Time step, s."""

@@ -24,8 +24,10 @@ def text_of(path: Path | str, place: str) -> str:
     Raises
     ------
     ScriptError
-        At ``place``: there is no such file, or it is no UTF-8 text.
+        At ``place``: there is no such file, it is a folder, or it is no UTF-8 text.
     """
+    if Path(path).is_dir():
+        raise ScriptError("this is a folder: give the file", place=place)
     try:
         return Path(path).read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from heartcase.schemas.base import Direction, Model, Name, PointMm, PositiveMm
+from heartcase.schemas.base import Direction, Model, Name, OneOf, PointMm, PositiveMm
 from heartcase.schemas.terms import normalised, term_by_name
 
 __all__ = [
@@ -35,7 +35,9 @@ DIRECTIONS: dict[str, tuple[int, int, int]] = {
 """Words for directions, of the patient -> LPS axes. Several may stand together: ``front left``."""
 
 _Words = Annotated[str, Field(min_length=1, max_length=64)]
-Towards = _Words | Direction
+Towards = Annotated[
+    _Words | Direction, OneOf('a direction in words, such as "front left", a name, or three finite numbers')
+]
 """Words such as ``front left``, the name of a place, or a vector (LPS)."""
 
 
@@ -61,7 +63,7 @@ class Way(Model):
     """How far, mm."""
 
 
-Place = Name | PointMm | Beside
+Place = Annotated[Name | PointMm | Beside, OneOf("a name, three finite numbers, or { near = ... }")]
 """A named place, a point (LPS, mm), or beside a named place."""
 
 

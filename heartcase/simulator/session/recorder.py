@@ -16,6 +16,7 @@ import numpy as np
 
 from heartcase import __version__
 from heartcase.schemas.bundle.format import CaseManifest
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.errors import Problem, RecordingError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recording.commands import Entry
@@ -74,6 +75,8 @@ class Recorder:
         There is something at the path, its folder does not exist or cannot be written, the session began with a
         lattice that was cut or joined, the case is another, the time between states is not above 0, or the session was
         never at the step where it took over. Nothing is left at the path but what was there.
+    UsageError
+        The path lies in a case.
     """
 
     def __init__(
@@ -164,6 +167,7 @@ class Recorder:
         self.finish()
 
     def _make_folder(self) -> None:
+        refuse_inside_case(self.path, place="out")
         try:
             self.path.mkdir()
         except FileExistsError:

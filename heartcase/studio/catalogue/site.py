@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -115,6 +116,9 @@ def write_catalogue(
     return replace(result, seconds=time.perf_counter() - start)
 
 
+_SAME_NAME = "another case has this name but for upper and lower case, and so one page with it: rename one of them"
+
+
 @dataclass
 class _Run:
     cases: Path
@@ -131,9 +135,13 @@ class _Run:
         ledgers = read_ledgers(self.site)
         before = {name: page for name, page in ledgers.items() if name != SITE}
         stamps = {name: self._stamp(name, folder) for name, folder in folders.items()}
+        count = Counter(name.casefold() for name in folders)
         pages: Ledger = {}
         stale: dict[str, Entry] = {}
         for name, folder in folders.items():
+            if count[name.casefold()] > 1:
+                pages[name] = Page(problems=(("name", _SAME_NAME),))
+                continue
             known = before.get(name)
             if known and stamps[name] and known.stamp == stamps[name] and is_unchanged(self.site, known):
                 pages[name] = known

@@ -169,7 +169,7 @@ class _Files:
 def _opened(cases: Sequence[SiteCase], out: Path) -> list[OpenBundle]:
     """The cases, opened; all that is wrong is told at once."""
     problems = []
-    named = Counter(case.name.lower() for case in cases)
+    named = Counter(case.name.casefold() for case in cases)
     for case in cases:
         try:
             TypeAdapter(Name).validate_python(case.name)

@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.errors import Problem
 from heartcase.schemas.files import atomic_write
 from heartcase.studio.messages import told
@@ -50,6 +51,7 @@ class SavedPage:
         """Save the case with these recordings; what was being saved is left."""
         self.close()
         path = self._free_name()
+        refuse_inside_case(path, place="page")
         recordings = [self._out / name for name in dict.fromkeys(names)]
         # told before the process can answer
         self._tell(state="working")

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 from pydantic import TypeAdapter
 
 from heartcase.pipeline.building.starter_recipe import write_recipe
+from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
@@ -214,6 +215,7 @@ class Start:
         folder = self._roots.inside(path)
         if not folder.is_dir():
             raise UsageError("this is a file: choose a folder", place="folder")
+        refuse_inside_case(folder, place="folder")
         return folder
 
     def _greeting(self) -> str:
@@ -224,6 +226,10 @@ class Start:
 
 
 def _recipe_to_open(path: Path, out: Path | None = None) -> _ToOpen:
+    # What is done to it is saved in it, and its case is built there.
+    refuse_inside_case(path, place="recipe")
+    if out is not None:
+        refuse_inside_case(out, place="folder")
     name = parse_recipe(read_recipe_text(path), needs_markers=False).name
     return _ToOpen(path, name, path.parent if out is None else out)
 

@@ -182,6 +182,18 @@ def test_damaged_cases_and_names_that_cannot_be_addresses_are_refused(library):
     assert set(result.refused) == {"torn", "a'b<c>"}
 
 
+def test_names_that_differ_in_upper_and_lower_case_alone_are_refused(library):
+    library("heart", about=about())
+    cases = library("good", about=about())
+    shutil.copytree(cases / "heart.case", cases / "Heart.case")
+    result = write_catalogue(cases)
+    assert result.shown == ("good",)
+    assert set(result.refused) == {"heart", "Heart"}
+    assert "but for upper and lower case" in result.refused["heart"][0].message
+    shutil.rmtree(cases / "Heart.case")
+    assert write_catalogue(cases).shown == ("good", "heart")
+
+
 def test_hostile_texts_are_inert(library):
     texts = {"en": {"title": HOSTILE.replace("\u2028\u2029", ""), "what": HOSTILE, "look_for": HOSTILE}}
     hostile = about(

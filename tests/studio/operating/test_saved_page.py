@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import threading
 
+import pytest
+
+from heartcase.schemas.errors import UsageError
 from heartcase.studio.offline.exported import fitting_page_of, page_of
 from heartcase.studio.operating.saved_page import SavedPage
 from tests.studio.operating.performing import operator, theatre
@@ -61,6 +64,16 @@ def test_a_page_that_cannot_be_written_is_told(recorded, tmp_path):  # noqa: F81
     assert saved.facts["state"] == "failed"
     assert saved.facts["problems"] == [{"place": "page", "message": "it cannot be written: No such file or directory"}]
     saved.close()
+
+
+def test_a_page_is_not_saved_in_a_case(recorded):  # noqa: F811
+    path, _ = recorded
+    before = set(path.iterdir())
+    saved = SavedPage(path, path, fitting_page_of, lambda: None)
+    with pytest.raises(UsageError, match="lies in one"):
+        saved.save([])
+    assert saved.facts == {}
+    assert set(path.iterdir()) == before
 
 
 def test_what_is_left_on_the_way_is_neither_told_nor_there(recorded):  # noqa: F811

@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import os
+import shutil
 import stat
 
 import numpy as np
@@ -172,6 +173,24 @@ def test_a_chosen_series_and_phase_become_a_recipe_that_opens(tmp_path):
         text = (tmp_path / "heart.toml").read_bytes()
         assert "already a recipe" in page.ask(**begin, trigger_time_ms=0.0)["problems"][0]["message"]
         assert (tmp_path / "heart.toml").read_bytes() == text
+
+
+def test_nothing_is_begun_in_the_folder_of_a_case(tmp_path):
+    path, _ = write_recipe(tmp_path)
+    inside = tmp_path / "heart.case"
+    inside.mkdir()
+    (inside / "case.json").write_text("{}")
+    shutil.copy(path, inside / "painted.toml")
+    with studio(path) as browser, line(browser, "/starting", first="start") as page:
+        for asked in (
+            {"do": "begin", "path": "scan.nii.gz", "folder": str(inside), "file": "heart"},
+            {"do": "sample", "name": "adult-phantom", "folder": str(inside)},
+            {"do": "open", "path": "heart.case/painted.toml"},
+        ):
+            (problem,) = page.ask(**asked)["problems"]
+            assert "this is the folder of a case, or lies in one" in problem["message"]
+            assert str(tmp_path) not in json.dumps(problem)
+    assert {one.name for one in inside.iterdir()} == {"case.json", "painted.toml"}
 
 
 def test_recent_work_can_be_opened_again_and_forgotten(tmp_path):
