@@ -14,7 +14,7 @@ import numpy as np
 from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest, FileRole
 from heartcase.schemas.errors import BundleError, MissingPathError, UsageError
-from heartcase.schemas.files import sha256_of_file
+from heartcase.schemas.files import is_there, sha256_of_file
 
 if TYPE_CHECKING:
     from heartcase.schemas.bundle.reader import OpenBundle
@@ -69,7 +69,7 @@ class CaseChange:
         return asdict(self)
 
 
-def diff_libraries(old: Path, new: Path, tolerances: Tolerances | None = None) -> tuple[CaseChange, ...]:
+def diff_libraries(old: Path | str, new: Path | str, tolerances: Tolerances | None = None) -> tuple[CaseChange, ...]:
     """Compare the cases of two output folders, by name.
 
     Parameters
@@ -84,8 +84,9 @@ def diff_libraries(old: Path, new: Path, tolerances: Tolerances | None = None) -
     UsageError
         One of them is no folder, or neither holds a case.
     """
+    old, new = Path(old), Path(new)
     for folder, place in ((old, "OLD"), (new, "NEW")):
-        if not folder.is_dir():
+        if not (is_there(folder) and folder.is_dir()):
             raise MissingPathError("there is no such folder: give the OUT of a library build", place=place)
     names = sorted({path.name.removesuffix(".case") for folder in (old, new) for path in folder.glob("*.case")})
     if not names:

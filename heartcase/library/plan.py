@@ -24,7 +24,7 @@ from heartcase.phantom.version import PHANTOM_VERSION
 from heartcase.pipeline.stages.table import stage_versions
 from heartcase.schemas.bundle.format import WarningGrade
 from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, RecipeError, UsageError
-from heartcase.schemas.files import atomic_write
+from heartcase.schemas.files import atomic_write, is_there
 from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.scripts.incision_plans import IncisionPlans
 from heartcase.schemas.scripts.script import SimulationScript
@@ -100,7 +100,7 @@ class CaseRecord:
         return replace(self, seconds=round(seconds, 2), memory_peak_mb=memory_peak_mb)
 
 
-def plan_library(directory: Path, *, skip: Callable[[str], None] = lambda name: None) -> tuple[LibraryCase, ...]:
+def plan_library(directory: Path | str, *, skip: Callable[[str], None] = lambda name: None) -> tuple[LibraryCase, ...]:
     """The recipes below a folder, by name; those that cannot be built say why.
 
     TOML files that are no recipes, and what lies in hidden folders, are passed over. Name and inputs of sound recipes
@@ -119,7 +119,8 @@ def plan_library(directory: Path, *, skip: Callable[[str], None] = lambda name: 
     UsageError
         There is no such folder, or no recipe in it.
     """
-    if not directory.is_dir():
+    directory = Path(directory)
+    if not (is_there(directory) and directory.is_dir()):
         raise MissingPathError("there is no such folder: give the one that holds the recipes", place="DIR")
     kept = _known_file(directory)
     known = _read_known(kept)

@@ -10,7 +10,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["LOCK_NAME", "TEMPORARY_PREFIX", "atomic_write", "exclusive", "remove_leftovers", "sha256_of_file"]
+__all__ = [
+    "LOCK_NAME",
+    "TEMPORARY_PREFIX",
+    "atomic_write",
+    "exclusive",
+    "is_there",
+    "remove_leftovers",
+    "sha256_of_file",
+]
 
 TEMPORARY_PREFIX = ".heartcase-tmp-"
 """What the names of unfinished files start with."""
@@ -109,6 +117,12 @@ def exclusive(directory: Path | str) -> Iterator[None]:
             yield
         finally:
             os.close(descriptor)
+
+
+def is_there(path: Path | str) -> bool:
+    """Whether there is something at a path; nothing is where the system takes it for no path, as a name too long."""
+    # pathlib raises of such a path.
+    return os.path.exists(path)
 
 
 def sha256_of_file(path: Path | str) -> str:

@@ -17,7 +17,14 @@ from heartcase.schemas.errors import BundleError, SimulationError, UsageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.lattice.model import LatticeModel, make_model
-from heartcase.simulator.surface.deform import Curvature, PickingModel, SurfaceModel, make_picking, make_surface
+from heartcase.simulator.surface.deform import (
+    Curvature,
+    PickingModel,
+    SurfaceModel,
+    check_curvature,
+    make_picking,
+    make_surface,
+)
 from heartcase.simulator.surface.tissue_inside import tissue_inside
 
 __all__ = ["Case", "Need", "ScanVolume", "load_case"]
@@ -93,7 +100,8 @@ def load_case(
     Raises
     ------
     UsageError
-        The needs are a text instead of a list of them, a need is unknown, or the case does not have the level.
+        The needs are a text instead of a list of them, a need or the curvature is unknown, or the case does not have
+        the level.
     BundleError
         The bundle is broken, or was made without a part that is needed.
     """
@@ -103,6 +111,7 @@ def load_case(
     unknown = sorted(set(needs) - set(get_args(Need)))
     if unknown:
         raise UsageError(f"a scene cannot need {', '.join(unknown)}; it can need {', '.join(get_args(Need))}")
+    check_curvature(curvature, "curvature", UsageError)
     bundle = open_bundle(path)
     wants_surface = bool({"surface", "tangents", "colours", "structures"} & set(needs))
     if wants_surface:

@@ -56,7 +56,8 @@ SECTIONS = {
         "check_recording load_session Deviation StitchState PatchState FlatSheet write_template",
     ),
     "Commands of a session": (
-        "What is asked of an operating session: plain data that JSON holds.",
+        "What is asked of an operating session: plain data that JSON holds. Made of values that do not fit, each "
+        "raises a `RecordingError` with all that is wrong, as `parse_command` does.",
         "CloseGrab LeadGrab OpenGrab BringProbe MoveProbe WithdrawProbe AddSprings RemoveSprings Cut Mark Halt Advance "
         "Undo Redo Rewind GoTo Entry parse_command CloseForceps SqueezeForceps CloseRetractor BringScissors "
         "PlaceScissors Snip WithdrawScissors PlaceStitch PlaceRow DrawStitch TieStitch TakeOutStitch PlacePatch "

@@ -62,7 +62,7 @@ def is_run(example: Example) -> bool:
 
 def run_page(page: Path, run: Callable[[list[str]], tuple[int, str]]) -> None:
     """Run the examples of a page in the present directory; ``run`` runs a command and gives exit code and output."""
-    names: dict[str, Any] = {"__name__": "example"}
+    names: dict[str, Any] = {"__name__": "__main__"}
     for example in examples_of(page):
         where = f"{page.name}:{example.line}"
         if example.kind == "python":

@@ -30,8 +30,8 @@ def test_shapes_units_types_and_errors_are_on_the_page():
         "- `vertices_mm: NDArray[float32]`: Positions, LPS mm, shape (vertex_count, 3).",
         "- `time_s: float`, read-only: Simulated time, s.",
         "    sleep_mm: float = 0.05,",
-        "- `UsageError`: The needs are a text instead of a list of them, a need is unknown, or "
-        "the case does not have the level.",
+        "- `UsageError`: The needs are a text instead of a list of them, a need or the curvature "
+        "is unknown, or the case does not have the level.",
     ):
         assert f"{line}\n" in page, line
     assert ":func:" not in page

@@ -356,3 +356,10 @@ def test_a_build_waits_until_the_line_is_written(case, monkeypatch):
     approved(case)
     assert held == {"bundle_sha256": [True, True], "atomic_write": [True, True]}
     assert not is_held(case)
+
+
+def test_what_is_no_text_and_no_date_is_told_at_once(case):
+    with pytest.raises(UsageError) as found:
+        approve_case(case, role=3, note=4, now="yesterday")
+    assert [problem.place for problem in found.value.problems] == ["role", "note", "now"]
+    assert not approval_log(case).exists()

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,11 +22,12 @@ from heartcase.pipeline.bundle.write_bundle import (
 )
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.image.scan_part import scan_part
+from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.format import ALIGNMENT, ARRAYS, VERSION_WITHOUT_SEPTA, FileRole
 from heartcase.schemas.bundle.lattice import FULL_MOMENTS
 from heartcase.schemas.bundle.reader import open_bundle
-from heartcase.schemas.errors import BundleError
+from heartcase.schemas.errors import BundleError, UsageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.settings import MaterialsSettings
 from heartcase.simulator.load import load_case
@@ -500,3 +502,37 @@ def test_a_scan_that_does_not_fit_the_manifest_is_refused(case_with_scan, change
 def test_a_case_without_the_scan_says_what_to_do(case):
     with pytest.raises(BundleError, match="no part 'scan': add it to 'parts'"):
         load_case(case, needs=("scan",))
+
+
+def test_a_part_or_an_array_that_there_is_not_is_named_with_what_there_is(case):
+    bundle = open_bundle(case)
+    assert bundle.path("grid") == bundle.path(FileRole.GRID)
+    assert set(bundle.arrays("grid", ["fixed"])) == {"fixed"}
+    with pytest.raises(BundleError, match=r"no array 'nope', 'other'; it has cells"):
+        bundle.arrays(FileRole.GRID, ["nope", "fixed", "other"])
+    with pytest.raises(BundleError, match="no array 'nope'"):
+        bundle.inspect_array(FileRole.GRID, "nope")
+    with pytest.raises(UsageError, match=r"write \['nodes'\]"):
+        bundle.arrays(FileRole.GRID, "nodes")
+    for call in (bundle.path, bundle.has, bundle.arrays):
+        with pytest.raises(BundleError, match=r"no part 'nope'; there are grid"):
+            call("nope")
+
+
+def test_a_part_without_arrays_says_where_its_file_is():
+    golden = Path(__file__).parents[1] / "golden" / "lopsided.case"
+    with pytest.raises(BundleError, match=r"'render' holds no arrays: read its file, render-.*glb"):
+        open_bundle(golden).arrays(FileRole.RENDER)
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 5000, "\ud800"])
+def test_a_name_that_no_path_may_have_is_a_case_that_is_not_there(name, tmp_path):
+    path = f"{tmp_path}/{name}"
+    for wanted in (name, path):
+        with pytest.raises(BundleError, match="nothing at this path"):
+            open_bundle(wanted)
+        assert [problem.message for problem in check_bundle(wanted)] == [
+            "there is nothing at this path: check its spelling"
+        ]
+        with pytest.raises(BundleError, match="no case at this path"):
+            approval_state(wanted)

@@ -10,10 +10,10 @@ import pytest
 
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import OpenBundle, open_bundle
-from heartcase.schemas.errors import BundleError, UsageError
+from heartcase.schemas.errors import BundleError, SimulationError, UsageError
 from heartcase.simulator.dynamics.step_size import default_step, step_limit
 from heartcase.simulator.load import load_case
-from heartcase.simulator.surface.deform import deform
+from heartcase.simulator.surface.deform import deform, make_surface
 from tests.factories import TABLE, block_grid
 from tests.simulator.lattices import EPS
 
@@ -67,6 +67,24 @@ def test_only_what_is_needed_is_read(case_path, monkeypatch):
 def test_unknown_need_is_refused(case_path):
     with pytest.raises(UsageError, match=r"sound; it can need grid, surface"):
         load_case(case_path, needs=("grid", "sound"))
+
+
+def test_unknown_curvature_is_refused_whatever_is_needed(case_path):
+    for needs in (("grid",), ("surface",)):
+        with pytest.raises(UsageError, match=r"curvature: .*flagged, all, none \(found 'smooth'\)"):
+            load_case(case_path, needs=needs, curvature="smooth")
+    model = load_case(case_path, needs=("grid",)).model
+    mapping = open_bundle(case_path).arrays(FileRole.MAPPING)
+    with pytest.raises(SimulationError, match="mode: must be one of"):
+        make_surface(
+            model,
+            triangle_nodes=mapping["triangle_nodes"],
+            weights=mapping["weights"],
+            offset_mm=mapping["offset"],
+            normal=mapping["normal"],
+            curvature=mapping["curvature"],
+            mode="smooth",
+        )
 
 
 def test_missing_case_is_one_line(tmp_path):

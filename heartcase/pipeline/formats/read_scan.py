@@ -23,6 +23,7 @@ from heartcase.pipeline.formats.volumes.read_nifti import read_nifti
 from heartcase.pipeline.formats.volumes.read_nrrd import nrrd_data_file, read_nrrd
 from heartcase.schemas.arrays import Float32, UInt16
 from heartcase.schemas.errors import MarkerError, Problem, ScanError
+from heartcase.schemas.files import is_there
 from heartcase.schemas.geometry import Geometry
 
 if TYPE_CHECKING:
@@ -249,6 +250,8 @@ def is_dicom_source(path: Path) -> bool:
 
     A file with the ending of another format is that.
     """
+    if not is_there(path):
+        return False
     if path.is_dir() or _suffix(path) is not None:
         return path.is_dir()
     from heartcase.pipeline.formats.dicom.headers import is_dicom
@@ -273,7 +276,7 @@ def _suffix(path: Path) -> str | None:
 
 
 def _read_file(path: Path, choice: FrameChoice | None = None) -> RawVolume:
-    if path.is_dir():
+    if is_there(path) and path.is_dir():
         raise ScanError("this is a folder, but a file is needed here")
     require_file(path)
     suffix = _suffix(path)

@@ -26,7 +26,7 @@ from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.bundle.manifest import FILE_NAME, manifest_bytes, read_manifest
 from heartcase.schemas.bundle.role_words import looks_like_a_name
-from heartcase.schemas.errors import BundleError, UsageError, problems_from_validation
+from heartcase.schemas.errors import BundleError, Problem, UsageError, problems_from_validation
 from heartcase.schemas.files import atomic_write, exclusive, sha256_of_file
 from heartcase.schemas.strict_json import parse_json
 
@@ -184,8 +184,16 @@ def approval_state(case: Path | str) -> Approval:
 
     The last line about exactly these bytes decides. A file that was changed, the manifest included, makes the case a
     draft; the same bytes, built again, are as they were. Hashes are only computed where something may be approved.
+
+    Raises
+    ------
+    BundleError
+        The system takes the path for none, or lets nobody look at it.
     """
-    entries, problems = _read_log(approval_log(case))
+    try:
+        entries, problems = _read_log(approval_log(case))
+    except (OSError, ValueError):
+        raise BundleError("there can be no case at this path: check its spelling", place="case") from None
     if problems:
         return Approval("draft", None, len(entries), problems)
     approvals = [entry for entry in entries if entry.action == "approve"]
@@ -238,8 +246,17 @@ def approve_case(
         The case is not sound; every problem at once. Only of an approval.
     UsageError
         The log was tampered with or cannot be written, the role or the note is not plain text, the role looks like a
-        person's name, or there is no approval to withdraw.
+        person's name, ``now`` is no date with a time, or there is no approval to withdraw.
     """
+    problems = [
+        Problem(name, f"must be text (found {found!r})")
+        for name, found in (("role", role), ("note", note))
+        if not isinstance(found, str)
+    ]
+    if now is not None and not isinstance(now, datetime):
+        problems.append(Problem("now", f"must be a datetime, such as datetime.now(UTC) (found {now!r})"))
+    if problems:
+        raise UsageError(problems)
     case, role = Path(case), role.strip()
     if not any(letter.isalpha() for letter in role):
         raise UsageError("say in words what the reviewer is, such as: consultant cardiologist", place="role")
@@ -251,8 +268,8 @@ def approve_case(
         )
     if withdraw:
         read_manifest(case)
-    elif problems := check_bundle(case):
-        raise BundleError(problems)
+    elif wrong := check_bundle(case):
+        raise BundleError(wrong)
     log = approval_log(case)
     try:
         # The case's own lock: no build replaces the bytes between their hash and the line.

@@ -15,7 +15,7 @@ from heartcase.schemas.bundle.reader import OpenBundle, inspect_files, stated_pr
 from heartcase.schemas.bundle.surfaces import mapping_problems, picking_problems, surface_problems
 from heartcase.schemas.bundle.values import Arrays, figure_problems, grid_problems
 from heartcase.schemas.errors import BundleError, Problem
-from heartcase.schemas.files import LOCK_NAME, TEMPORARY_PREFIX, sha256_of_file
+from heartcase.schemas.files import LOCK_NAME, TEMPORARY_PREFIX, is_there, sha256_of_file
 
 __all__ = ["check_bundle"]
 
@@ -37,6 +37,8 @@ def check_bundle(path: Path | str) -> tuple[Problem, ...]:
     except BundleError as error:
         problems += error.problems
         manifest = salvaged_manifest(directory)
+    if not is_there(directory):
+        return tuple(problems)
     is_salvaged = bool(problems)
     listed = listed_files(directory)
     problems += _hash_problems(directory, listed)

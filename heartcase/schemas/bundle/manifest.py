@@ -23,6 +23,7 @@ from heartcase.schemas.bundle.format import (
     SimulationFigures,
 )
 from heartcase.schemas.errors import BundleError, Problem, problems_from_validation
+from heartcase.schemas.files import is_there
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable
 from heartcase.schemas.landmarks import Landmark
@@ -197,7 +198,7 @@ def manifest_bytes(directory: Path) -> bytes:
         It is not there, no plain file, or too large.
     """
     file = directory / MANIFEST_NAME
-    if not directory.exists():
+    if not is_there(directory):
         raise BundleError("there is nothing at this path: check its spelling", place="case")
     if file.is_symlink():
         raise BundleError("is a link and not a file: the case is damaged, build it again", place=MANIFEST_NAME)

@@ -74,8 +74,9 @@ class OpenBundle:
         Raises
         ------
         BundleError
-            The case was made without it.
+            The case was made without it, or the format has no such part.
         """
+        role = _known(role)
         entry = self.manifest.file(role)
         if entry is None:
             raise BundleError(
@@ -84,8 +85,14 @@ class OpenBundle:
         return self.directory / entry.name
 
     def has(self, role: FileRole) -> bool:
-        """Whether the case was made with this part."""
-        return self.manifest.file(role) is not None
+        """Whether the case was made with this part.
+
+        Raises
+        ------
+        BundleError
+            The format has no such part.
+        """
+        return self.manifest.file(_known(role)) is not None
 
     @property
     def levels(self) -> tuple[int, ...]:
@@ -125,11 +132,18 @@ class OpenBundle:
         Raises
         ------
         BundleError
-            The part is absent, or values are out of range or not finite; all problems at once.
+            The part or an array is absent, or values are out of range or not finite; all problems at once.
+        UsageError
+            The names are a text instead of a list of them.
         """
+        if isinstance(names, str):
+            # A text is a sequence too: of its letters.
+            raise UsageError(f"is a list of names: write [{names!r}]", place="names")
+        role = _known(role)
         # A case of an older version lacks what came later.
-        there = self.headers[role].arrays if role in self.headers else [spec.name for spec in ARRAYS[role]]
+        there = self._layout_of(role).arrays
         wanted = [spec.name for spec in ARRAYS[role] if spec.name in there] if names is None else list(names)
+        self._refuse_unknown(role, wanted)
         loaded = {name: self.inspect_array(role, name) for name in wanted}
         problems = [problem for _, found in loaded.values() for problem in found]
         if problems:
@@ -145,9 +159,33 @@ class OpenBundle:
             A part stored as safetensors.
         name
             One of its arrays.
+
+        Raises
+        ------
+        BundleError
+            The part or the array is absent.
         """
-        array = map_array(self.path(role), *self.headers[role].arrays[name])
+        role = _known(role)
+        self._refuse_unknown(role, [name])
+        array = map_array(self.path(role), *self._layout_of(role).arrays[name])
         return array, list(self._value_problems(role, {name: array}))
+
+    def _layout_of(self, role: FileRole) -> Layout:
+        """Where the arrays of a part lie, or BundleError."""
+        path = self.path(role)
+        if role not in self.headers:
+            raise BundleError(f"the part '{role.value}' holds no arrays: read its file, {path.name}", place="role")
+        return self.headers[role]
+
+    def _refuse_unknown(self, role: FileRole, names: Iterable[str]) -> None:
+        """BundleError with each name that the part has no array of."""
+        there = self._layout_of(role).arrays
+        if unknown := [name for name in names if name not in there]:
+            raise BundleError(
+                f"the part '{role.value}' of this case has no array {', '.join(map(repr, unknown))}; "
+                f"it has {', '.join(there)}",
+                place="names",
+            )
 
     def _value_problems(self, role: FileRole, loaded: dict[str, npt.NDArray[Any]]) -> Iterable[Problem]:
         known = np.zeros(256, dtype=bool)
@@ -183,6 +221,14 @@ class OpenBundle:
                     yield Problem(place, f"must be from -{_MOMENTS_MAX:g} to {_MOMENTS_MAX:g}: tissue lies in its cell")
                 if (array[:, 3:6] < array[:, :3].astype(np.float64) ** 2 - _MOMENTS_TOLERANCE).any():
                     yield Problem(place, "has means of squares below the squares of the means")
+
+
+def _known(role: FileRole | str) -> FileRole:
+    """The part of a name, or BundleError."""
+    try:
+        return FileRole(role)
+    except ValueError:
+        raise BundleError(f"there is no part {role!r}; there are {', '.join(FileRole)}", place="role") from None
 
 
 def open_bundle(path: Path | str) -> OpenBundle:

@@ -14,6 +14,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 from heartcase.schemas.about import About
 from heartcase.schemas.base import CaseId, Model, Name
 from heartcase.schemas.errors import ModelProblems, Problem, RecipeError, problems_from_validation
+from heartcase.schemas.files import is_there
 from heartcase.schemas.labels import Label, LabelTable, Role, default_label_table, repeated_names
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import RECIPE
@@ -444,6 +445,8 @@ def read_recipe_text(path: Path | str) -> str:
         It is not there, cannot be read, is a folder, or looks like a scan.
     """
     path = Path(path)
+    if not is_there(path):
+        raise RecipeError("there is no such file; check the path", place="recipe")
     if path.is_dir():
         raise RecipeError(
             "this is a folder, not a recipe: give the recipe, a .toml file; for a folder of DICOM files  heartcase new "

@@ -10,8 +10,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from heartcase.schemas.base import Model, Name, PointMm, PositiveMm, RestPoses
+from heartcase.schemas.base import Name, PointMm, PositiveMm, RestPoses
 from heartcase.schemas.errors import RecordingError, problems_from_validation
+from heartcase.schemas.recording.command_model import CommandModel
 from heartcase.schemas.recording.suture_commands import (
     BoundPlace,
     DrawStitch,
@@ -81,7 +82,7 @@ Steps = Annotated[int, Field(ge=1, le=STEPS_MAX)]
 _Node = Annotated[int, Field(ge=0)]
 
 
-class CloseGrab(Model):
+class CloseGrab(CommandModel):
     """Close a hand on the tissue in a ball; it holds what can be reached along springs inside."""
 
     kind: Literal["close_grab"] = "close_grab"
@@ -94,7 +95,7 @@ class CloseGrab(Model):
     """Its radius, mm."""
 
 
-class LeadGrab(Model):
+class LeadGrab(CommandModel):
     """Lead a hand; it arrives with the end of the next steps."""
 
     kind: Literal["lead_grab"] = "lead_grab"
@@ -107,7 +108,7 @@ class LeadGrab(Model):
     """Rotation about its centre since it closed; none when left out."""
 
 
-class OpenGrab(Model):
+class OpenGrab(CommandModel):
     """Let go: the tissue moves on with the hand's velocity."""
 
     kind: Literal["open_grab"] = "open_grab"
@@ -116,7 +117,7 @@ class OpenGrab(Model):
     """The hand."""
 
 
-class BringProbe(Model):
+class BringProbe(CommandModel):
     """Bring in a probe, which pushes tissue out of itself."""
 
     kind: Literal["bring_probe"] = "bring_probe"
@@ -133,7 +134,7 @@ class BringProbe(Model):
     """Vector from end to end of the line that a ball is swept along, LPS mm: a capsule."""
 
 
-class MoveProbe(Model):
+class MoveProbe(CommandModel):
     """Move a probe; it arrives with the end of the next steps."""
 
     kind: Literal["move_probe"] = "move_probe"
@@ -144,7 +145,7 @@ class MoveProbe(Model):
     """Where its centre goes."""
 
 
-class WithdrawProbe(Model):
+class WithdrawProbe(CommandModel):
     """Take a probe away."""
 
     kind: Literal["withdraw_probe"] = "withdraw_probe"
@@ -153,7 +154,7 @@ class WithdrawProbe(Model):
     """The probe."""
 
 
-class AddSprings(Model):
+class AddSprings(CommandModel):
     """Join nodes by explicit springs."""
 
     kind: Literal["add_springs"] = "add_springs"
@@ -166,7 +167,7 @@ class AddSprings(Model):
     """Length at rest of each, mm; the distance now when left out. What is recorded states it."""
 
 
-class RemoveSprings(Model):
+class RemoveSprings(CommandModel):
     """Take explicit springs away."""
 
     kind: Literal["remove_springs"] = "remove_springs"
@@ -175,7 +176,7 @@ class RemoveSprings(Model):
     """Their places among the explicit springs that there are, from 0."""
 
 
-class Cut(Model):
+class Cut(CommandModel):
     """Cut along what a blade sweeps from pose to pose."""
 
     kind: Literal["cut"] = "cut"
@@ -196,14 +197,14 @@ class Cut(Model):
         return self
 
 
-class Halt(Model):
+class Halt(CommandModel):
     """All instruments stay where they are, wherever they were led. What a session does by itself when it broke down."""
 
     kind: Literal["halt"] = "halt"
     """Which command."""
 
 
-class Mark(Model):
+class Mark(CommandModel):
     """Name this moment."""
 
     kind: Literal["mark"] = "mark"
@@ -212,7 +213,7 @@ class Mark(Model):
     """What it is called."""
 
 
-class Advance(Model):
+class Advance(CommandModel):
     """Take steps; instruments arrive with the last, in a straight line."""
 
     kind: Literal["advance"] = "advance"
@@ -229,21 +230,21 @@ class Advance(Model):
         return self
 
 
-class Undo(Model):
+class Undo(CommandModel):
     """Take back the last act, such as a grab, and all that came after it. Leading and moving are no acts."""
 
     kind: Literal["undo"] = "undo"
     """Which command."""
 
 
-class Redo(Model):
+class Redo(CommandModel):
     """Do again what was taken back last, up to the next act."""
 
     kind: Literal["redo"] = "redo"
     """Which command."""
 
 
-class Rewind(Model):
+class Rewind(CommandModel):
     """Go back in time; not beyond the session's start."""
 
     kind: Literal["rewind"] = "rewind"
@@ -252,7 +253,7 @@ class Rewind(Model):
     """How far, simulated s."""
 
 
-class GoTo(Model):
+class GoTo(CommandModel):
     """Go to a step, back or on, of what is known."""
 
     kind: Literal["go_to"] = "go_to"
@@ -276,7 +277,7 @@ Command = Annotated[Done | Navigation, Field(discriminator="kind")]
 """Any command."""
 
 
-class Entry(Model):
+class Entry(CommandModel):
     """One line of a session's history."""
 
     step: Annotated[int, Field(ge=0)]

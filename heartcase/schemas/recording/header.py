@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError
 
 from heartcase.schemas.base import CaseId, Model, Name, OneOf, Vector3
 from heartcase.schemas.errors import RecordingError, problems_from_validation
+from heartcase.schemas.files import is_there
 from heartcase.schemas.recording.commands import COMMANDS_VERSION
 from heartcase.schemas.strict_json import parse_json
 
@@ -141,7 +142,7 @@ def read_header(directory: Path) -> RecordingHeader:
 
 def _read(directory: Path) -> Any:
     file = directory / HEADER_NAME
-    if not directory.exists():
+    if not is_there(directory):
         raise RecordingError("there is nothing at this path: check its spelling", place="recording")
     if file.is_symlink() or not file.is_file():
         raise RecordingError(f"this is not a recording: it holds no {HEADER_NAME}", place="recording")

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
+from heartcase.schemas.arguments import whole_number
 from heartcase.schemas.errors import Problem, RecordingError
+from heartcase.schemas.files import is_there
 from heartcase.schemas.recording.commands import Entry, Mark
 from heartcase.schemas.recording.header import LOG_NAME, RecordingHeader, RecordingParent, header_hash, read_header
 from heartcase.schemas.recording.log import LINE_SIZE_MAX, History, StateLine, opened
@@ -56,7 +58,15 @@ class Recording:
         return tuple((entry.command.name, entry.step) for entry in done if isinstance(entry.command, Mark))
 
     def branch_at(self, step: int) -> RecordingParent:
-        """What a recording that takes over at a step says of this one."""
+        """What a recording that takes over at a step says of this one.
+
+        Raises
+        ------
+        RecordingError
+            The recording has no such step.
+        """
+        limits = {"least": self.start_step, "most": self.end_step}
+        step = whole_number(step, "step", **limits, error=RecordingError)
         return RecordingParent(log_hash=self.log_hash, step=step)
 
     def state_bytes(self, position: int) -> bytes:
@@ -65,8 +75,12 @@ class Recording:
         Raises
         ------
         RecordingError
-            It is missing or damaged.
+            None was stored there, or it is missing or damaged.
         """
+        if position not in self.states:
+            there = ", ".join(map(str, self.states)) or "none"
+            message = f"no state is stored where {position!r} entries are done; there are: {there}"
+            raise RecordingError(message, place="position")
         said = self.states[position]
         file = self.directory / said.file
         try:
@@ -82,7 +96,7 @@ class Recording:
 
 def is_recording(path: Path) -> bool:
     """Whether there is a folder at the path with the ending of recordings, or with a log in it."""
-    return path.is_dir() and (path.suffix == ".recording" or (path / LOG_NAME).is_file())
+    return is_there(path) and path.is_dir() and (path.suffix == ".recording" or (path / LOG_NAME).is_file())
 
 
 def open_recording(path: Path | str, *, partial: bool = False) -> Recording:

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from heartcase.schemas.base import Model, Name, Outline, PatchScale, PointMm, PositiveMm, RowPlaces
+from heartcase.schemas.base import Name, Outline, PatchScale, PointMm, PositiveMm, RowPlaces
+from heartcase.schemas.recording.command_model import CommandModel
 
 __all__ = [
     "ROW_MAX",
@@ -27,7 +28,7 @@ _Whole = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class BoundPlace(Model):
+class BoundPlace(CommandModel):
     """A place in tissue, as it was found: what a recording states."""
 
     cell: _Whole
@@ -38,7 +39,7 @@ class BoundPlace(Model):
     """Where in the cell, from its lowest corner [edges]."""
 
 
-class PlaceStitch(Model):
+class PlaceStitch(CommandModel):
     """Put a thread through the tissue at two places; it pulls at nothing until it is drawn."""
 
     kind: Literal["place_stitch"] = "place_stitch"
@@ -55,7 +56,7 @@ class PlaceStitch(Model):
     """The places that were found. What is recorded states them."""
 
 
-class PlaceRow(Model):
+class PlaceRow(CommandModel):
     """Fill in a row of stitches between chosen ones; they pull at nothing until they are drawn, by the row's name."""
 
     kind: Literal["place_row"] = "place_row"
@@ -85,7 +86,7 @@ class PlaceRow(Model):
         return self
 
 
-class DrawStitch(Model):
+class DrawStitch(CommandModel):
     """Draw the thread of a stitch, or all of a row; it comes to that with the end of the next steps."""
 
     kind: Literal["draw_stitch"] = "draw_stitch"
@@ -104,7 +105,7 @@ class DrawStitch(Model):
         return self
 
 
-class TieStitch(Model):
+class TieStitch(CommandModel):
     """Tie a knot, or all of a row: the thread keeps the length that it has now."""
 
     kind: Literal["tie_stitch"] = "tie_stitch"
@@ -113,7 +114,7 @@ class TieStitch(Model):
     """The stitch or the row."""
 
 
-class TakeOutStitch(Model):
+class TakeOutStitch(CommandModel):
     """Take a stitch out, or all of a row."""
 
     kind: Literal["take_out_stitch"] = "take_out_stitch"
@@ -122,7 +123,7 @@ class TakeOutStitch(Model):
     """The stitch or the row."""
 
 
-class PlacePatch(Model):
+class PlacePatch(CommandModel):
     """Cut a patch to a closed outline and stitch its rim on along it; nothing moves in this moment."""
 
     kind: Literal["place_patch"] = "place_patch"
@@ -148,7 +149,7 @@ class PlacePatch(Model):
     """Where these were at that moment: what the patch is cut to. What is recorded states it."""
 
 
-class TakeOutPatch(Model):
+class TakeOutPatch(CommandModel):
     """Take a patch out, with the stitches of its rim."""
 
     kind: Literal["take_out_patch"] = "take_out_patch"

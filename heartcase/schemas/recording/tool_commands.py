@@ -9,7 +9,6 @@ from heartcase.schemas.base import (
     JawAngle,
     JawOpening,
     LipLine,
-    Model,
     Name,
     PadLimit,
     PadStiffness,
@@ -17,6 +16,7 @@ from heartcase.schemas.base import (
     PositiveMm,
     RestPoses,
 )
+from heartcase.schemas.recording.command_model import CommandModel
 
 __all__ = [
     "BringScissors",
@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 
-class CloseForceps(Model):
+class CloseForceps(CommandModel):
     """Take hold of the tissue between two jaws; they close with the end of the next steps.
 
     ``lead_grab`` and ``open_grab`` lead them and let them go.
@@ -55,7 +55,7 @@ class CloseForceps(Model):
     """Gap to which they close, mm; they only touch the tissue when left out."""
 
 
-class SqueezeForceps(Model):
+class SqueezeForceps(CommandModel):
     """Close or open the jaws of forceps further; they arrive with the end of the next steps."""
 
     kind: Literal["squeeze_forceps"] = "squeeze_forceps"
@@ -66,7 +66,7 @@ class SqueezeForceps(Model):
     """Gap between the jaws, mm."""
 
 
-class CloseRetractor(Model):
+class CloseRetractor(CommandModel):
     """Take hold of one lip of an incision along a line, on pads. ``lead_grab`` and ``open_grab`` lead and let go."""
 
     kind: Literal["close_retractor"] = "close_retractor"
@@ -85,7 +85,7 @@ class CloseRetractor(Model):
     """Pull along the line at which the pads give way without end, N/mm; null for none."""
 
 
-class BringScissors(Model):
+class BringScissors(CommandModel):
     """Bring in fully open scissors; they touch nothing."""
 
     kind: Literal["bring_scissors"] = "bring_scissors"
@@ -104,7 +104,7 @@ class BringScissors(Model):
     """Angle between the fully open jaws, degrees."""
 
 
-class PlaceScissors(Model):
+class PlaceScissors(CommandModel):
     """Put scissors elsewhere, at once; they keep their angle and touch nothing on the way."""
 
     kind: Literal["place_scissors"] = "place_scissors"
@@ -119,7 +119,7 @@ class PlaceScissors(Model):
     """From one jaw to the other."""
 
 
-class Snip(Model):
+class Snip(CommandModel):
     """Close scissors to an angle, and cut what lies between their jaws so far; to a larger angle they only open."""
 
     kind: Literal["snip"] = "snip"
@@ -132,7 +132,7 @@ class Snip(Model):
     """What is cut, as poses of a blade in the tissue at rest; worked out when left out. What is recorded states it."""
 
 
-class WithdrawScissors(Model):
+class WithdrawScissors(CommandModel):
     """Take scissors away."""
 
     kind: Literal["withdraw_scissors"] = "withdraw_scissors"

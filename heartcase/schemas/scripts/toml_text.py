@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from heartcase.schemas.errors import ScriptError, problems_from_validation
+from heartcase.schemas.files import is_there
 from heartcase.schemas.migrate import VersionedFormat
 from heartcase.schemas.toml_problems import toml_problem
 
@@ -30,9 +31,9 @@ def text_of(path: Path | str, place: str) -> str:
         raise ScriptError("this is a folder: give the file", place=place)
     try:
         return Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ScriptError("there is no such file; check the path", place=place) from None
-    except (OSError, UnicodeDecodeError):
+    except (OSError, ValueError):
+        if not is_there(path):
+            raise ScriptError("there is no such file; check the path", place=place) from None
         raise ScriptError("the file cannot be read as UTF-8 text", place=place) from None
 
 

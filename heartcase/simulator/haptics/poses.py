@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from math import atan2, cos, sin, sqrt
 
 import numpy as np
+import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
+from heartcase.schemas.errors import UsageError
 
 __all__ = ["NEARLY_HALF_RAD", "SMALL_RAD", "ToolPose", "rotation_between", "turn_by", "vector_of"]
 
@@ -27,9 +29,21 @@ class ToolPose:
     """Rotation from the tool's own axes to LPS axes, shape (3, 3)."""
 
     @classmethod
-    def at(cls, position_mm: Float64) -> ToolPose:
-        """A pose that is not turned."""
-        return cls(np.asarray(position_mm, dtype=float), np.eye(3))
+    def at(cls, position_mm: npt.ArrayLike) -> ToolPose:
+        """A pose that is not turned.
+
+        Raises
+        ------
+        UsageError
+            The position is not three finite numbers.
+        """
+        try:
+            position = np.asarray(position_mm, dtype=float)
+        except (TypeError, ValueError):
+            position = np.empty(0)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise UsageError(f"must be three finite numbers (found {position_mm!r})", place="position_mm")
+        return cls(position, np.eye(3))
 
     def gap_to(self, other: ToolPose) -> Float64:
         """What leads from this pose to another: way, mm, and rotation vector, rad, LPS axes, shape (2, 3)."""

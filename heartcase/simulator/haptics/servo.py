@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.arrays import Float64
-from heartcase.schemas.errors import HeartcaseError, SimulationError
+from heartcase.schemas.errors import HeartcaseError, Problem, SimulationError, UsageError
 from heartcase.simulator.haptics.channel import Channel
-from heartcase.simulator.haptics.device import DeviceSpec, HapticDevice, open_device
+from heartcase.simulator.haptics.device import DeviceSpec, HapticDevice, NamedDevice
 from heartcase.simulator.haptics.loop import LoopNumbers
 from heartcase.simulator.haptics.settings import ServoSettings
 
@@ -48,12 +48,17 @@ class HapticServo:
         Coupling, limits, fade; the defaults when left out.
     log_count
         Updates of the first device of which times are kept, for measurements.
+
+    Raises
+    ------
+    UsageError
+        What is given is no list of :class:`DeviceSpec`.
     """
 
     def __init__(
         self, devices: Sequence[DeviceSpec], settings: ServoSettings | None = None, *, log_count: int = 0
     ) -> None:
-        self.devices = tuple(devices)
+        self.devices = _checked(devices)
         self.settings = settings or ServoSettings()
         self.channels = tuple(Channel() for _ in self.devices)
         context = multiprocessing.get_context("spawn")
@@ -115,6 +120,20 @@ class HapticServo:
             self._process.terminate()
             self._process.join()
         self._told.close()
+
+
+def _checked(devices: Sequence[DeviceSpec]) -> tuple[DeviceSpec, ...]:
+    """The devices as they were given, or UsageError."""
+    if isinstance(devices, str | DeviceSpec):
+        raise UsageError("is a list of them, also where it is one: write [DeviceSpec(...)]", place="devices")
+    problems = [
+        Problem(f"devices[{number}]", f"must be a DeviceSpec, such as DeviceSpec('mouse', {{...}}) (found {one!r})")
+        for number, one in enumerate(devices, start=1)
+        if not isinstance(one, DeviceSpec)
+    ]
+    if problems:
+        raise UsageError(problems)
+    return tuple(devices)
 
 
 def run_loop(
@@ -210,12 +229,11 @@ def _serve(
     opened: list[HapticDevice] = []
     try:
         for spec in devices:
-            opened.append(open_device(spec))
+            opened.append(NamedDevice(spec))
     except Exception as error:
         for device in opened:
             _take_all_force_away(device)
-        # A device's own text may say anything: its kind must do.
-        tells.send(str(error) if isinstance(error, HeartcaseError) else f"a device failed with {type(error).__name__}")
+        tells.send(_words_of(error))
         return
     LoopNumbers.prepare()
     tells.send("")
@@ -231,8 +249,14 @@ def _serve(
     try:
         run_loop(opened, [Channel(memory) for memory in memories], settings, is_ended, rows)
     except Exception as error:
-        # A device's own text may say anything: its kind must do.
-        tells.send(f"a device failed with {type(error).__name__}")
+        tells.send(_words_of(error))
+
+
+def _words_of(error: Exception) -> str:
+    """One line for the other process; of what nobody has foreseen its kind must do."""
+    if isinstance(error, HeartcaseError):
+        return "; ".join(map(str, error.problems))
+    return f"it failed with {type(error).__name__}"
 
 
 def _hurry() -> None:

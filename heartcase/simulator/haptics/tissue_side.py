@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from heartcase.schemas.arguments import whole_number
 from heartcase.schemas.arrays import Float64
 from heartcase.simulator.haptics.alignment import Alignment, pose_at, segment_times
 from heartcase.simulator.haptics.channel import Channel
@@ -85,7 +86,13 @@ class TissueSide:
             Parts of the segment, at least 1.
         take_part
             Takes the steps of one part; instruments arrive with its end. Parts of a few milliseconds keep forces fresh.
+
+        Raises
+        ------
+        UsageError
+            ``part_count`` is no whole number, or less than 1.
         """
+        part_count = whole_number(part_count, "part_count", least=1)
         now_s = self._clock()
         alignment = self._alignment or Alignment(now_s, 0.0, now_s)
         self._alignment, times_s = segment_times(alignment, now_s, part_count)

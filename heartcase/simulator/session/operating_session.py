@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol, get_args
 
+from heartcase.schemas.arguments import finite_number, whole_number
 from heartcase.schemas.errors import RecordingError, SimulationError
 from heartcase.schemas.recording.commands import (
+    STEPS_MAX,
     Act,
     Advance,
     Cut,
@@ -30,7 +32,7 @@ from heartcase.schemas.recording.commands import (
 from heartcase.schemas.recording.kept_entries import KeptEntries
 from heartcase.simulator.session.coming_blades import ComingBlades
 from heartcase.simulator.session.frame import Frame, Refusal, TopologyChange, instrument_frames
-from heartcase.simulator.session.perform import perform, resolved
+from heartcase.simulator.session.perform import perform, refuse_others, resolved
 from heartcase.simulator.session.snapshots import Snapshots
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.snapshot import Snapshot
@@ -43,7 +45,7 @@ SNAPSHOT_EVERY_S = 0.25
 _ACTS = get_args(Act)
 # rows of as many steps are one object: a history of hours has many of them
 _row = lru_cache(maxsize=1024)(lambda steps: Advance(steps=steps))
-_NAVIGATION = get_args(Navigation)
+_COMMANDS = get_args(Done | Navigation)
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,11 @@ class SessionLog(Protocol):
 
     def keep(self, position: int, simulation: Simulation) -> None:
         """Steps were taken: a state may be stored."""
+
+
+def _steps(steps: int, *, least: int) -> int:
+    """A number of steps as an int, or SimulationError."""
+    return whole_number(steps, "steps", least=least, most=STEPS_MAX, error=SimulationError)
 
 
 class OperatingSession:
@@ -165,9 +172,10 @@ class OperatingSession:
         Raises
         ------
         SimulationError
-            It cannot be done, and nothing has changed; or of steps, the simulation broke down: the state before them
-            was restored, and instruments stay where they were.
+            It is no command, or cannot be done, and nothing has changed; or of steps, the simulation broke down: the
+            state before them was restored, and instruments stay where they were.
         """
+        refuse_others(command, _COMMANDS)
         if isinstance(command, Cut | Snip):
             self.make_cuts(wait=True)
         match command:
@@ -195,10 +203,12 @@ class OperatingSession:
         Raises
         ------
         SimulationError
-            The simulation broke down: the state before the steps was restored, and instruments stay where they were.
+            ``steps`` is no whole number, or less than 1; or the simulation broke down: the state before the steps was
+            restored, and instruments stay where they were.
         """
+        row = _row(_steps(steps, least=1))
         self.make_cuts()
-        self._do_now(_row(steps))
+        self._do_now(row)
         return self.frame(surface=surface)
 
     def begin_cut(self, command: Cut) -> None:
@@ -211,8 +221,9 @@ class OperatingSession:
         Raises
         ------
         SimulationError
-            It cannot be made. What turns out only when it is worked out is told in a frame as refused.
+            It is no cut, or cannot be made. What turns out only when it is worked out is told in a frame as refused.
         """
+        refuse_others(command, (Cut,))
         begun = resolved(self.simulation, command)
         assert isinstance(begun, Cut)
         self._coming.add(self.simulation, command, begun)
@@ -233,7 +244,9 @@ class OperatingSession:
     def take(
         self, commands: Iterable[Done | Navigation], steps: int = 0, *, surface: bool = False, cuts_soon: bool = False
     ) -> Frame:
-        """Do commands, then take steps: what a client does for each of its frames. It raises nothing a command causes.
+        """Do commands, then take steps: what a client does for each of its frames.
+
+        It raises nothing that a command or a breakdown causes: the frame tells it.
 
         Parameters
         ----------
@@ -245,9 +258,16 @@ class OperatingSession:
             Whether the frame shows the visible surface.
         cuts_soon
             Whether cuts are begun (:meth:`begin_cut`) instead of made, so that no frame waits for them.
+
+        Raises
+        ------
+        SimulationError
+            What is given is no command, or no number of steps.
         """
+        steps = _steps(steps, least=0)
         self.make_cuts()
         for command in commands:
+            refuse_others(command, _COMMANDS)
             try:
                 if cuts_soon and isinstance(command, Cut):
                     self.begin_cut(command)
@@ -313,7 +333,14 @@ class OperatingSession:
         self._go_to(later[0] if later else len(self.entries))
 
     def rewind(self, seconds: float) -> None:
-        """Go back so far in simulated time, s, or to the start where that is later."""
+        """Go back so far in simulated time, s, or to the start where that is later.
+
+        Raises
+        ------
+        SimulationError
+            The time is no finite number, or below 0.
+        """
+        seconds = finite_number(seconds, "seconds", least=0.0, error=SimulationError)
         self.go_to(max(self.start_step, self.step_count - round(seconds / self.simulation.step_s)))
 
     def go_to(self, step: int) -> None:
@@ -324,6 +351,7 @@ class OperatingSession:
         SimulationError
             The step is not known.
         """
+        step = whole_number(step, "step", error=SimulationError)
         self.make_cuts(wait=True)
         first, last = self.start_step, self.end_step
         if not first <= step <= last:
@@ -355,7 +383,7 @@ class OperatingSession:
             The step is not known, or earlier than where the session is.
         """
         self.make_cuts(wait=True)
-        to_step = self.end_step if to_step is None else to_step
+        to_step = self.end_step if to_step is None else whole_number(to_step, "step", error=SimulationError)
         if not self.step_count <= to_step <= self.end_step:
             message = f"step {to_step} cannot be played to: there are {self.step_count} to {self.end_step}"
             raise SimulationError(message, place="step")

@@ -6,6 +6,7 @@ A command that is refused changes nothing: each of these either does the whole o
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,16 @@ from heartcase.simulator.session.perform_sutures import patched_lattice, perform
 from heartcase.simulator.session.perform_tools import as_poses, perform_tool, resolved_snip
 from heartcase.simulator.simulation import Simulation
 
-__all__ = ["changed_lattice", "instrument_named", "perform", "resolved"]
+__all__ = ["changed_lattice", "instrument_named", "perform", "refuse_others", "resolved"]
+
+
+def refuse_others(given: Any, kinds: tuple[type, ...]) -> None:
+    """SimulationError where what was given as a command is none of these kinds: all of them, or cuts alone."""
+    if isinstance(given, kinds):
+        return
+    found = "None" if given is None else type(given).__name__
+    message = "give a Cut" if kinds == (Cut,) else "give a command, such as Undo(), or what parse_command makes of JSON"
+    raise SimulationError(f"{message} (found {found})", place="command")
 
 
 def resolved(simulation: Simulation, command: Done) -> Done:

@@ -46,8 +46,9 @@ class Recorder:
 
     ::
 
+        lowest = case.surface.rest_mm[case.surface.rest_mm[:, 2].argmin()]  # nearest the feet
         with Recorder(session, "pull.recording", case=case.manifest):
-            session.do(CloseGrab(name="lift", center_mm=(12.0, -80.0, 40.0)))
+            session.do(CloseGrab(name="lift", center_mm=lowest))
             session.advance(100)
 
     Every command is on disk when it is done. Leaving the block finishes the recording, also where an error ends it.
@@ -172,6 +173,8 @@ class Recorder:
             self.path.mkdir()
         except FileExistsError:
             raise RecordingError("there is something at this path already: take another name", place="out") from None
+        except ValueError:
+            raise RecordingError("the path holds a character that no path may hold", place="out") from None
         except FileNotFoundError:
             raise RecordingError("the folder of this path does not exist: make it first", place="out") from None
         except OSError as error:

@@ -10,12 +10,12 @@ bundle's to the last bit.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int32, UInt8
-from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.errors import HeartcaseError, SimulationError
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.surface.cpu_kernels import EVERYTHING, deform_vertices, move_at_rest, node_normals, place_nodes
 
@@ -24,6 +24,7 @@ __all__ = [
     "DeformedSurface",
     "PickingModel",
     "SurfaceModel",
+    "check_curvature",
     "deform",
     "deform_picking",
     "make_picking",
@@ -148,6 +149,12 @@ class DeformedSurface:
     """Unit tangent and handedness of each render vertex, shape (render_vertex_count, 4), where they were loaded."""
 
 
+def check_curvature(mode: str, place: str, error: type[HeartcaseError]) -> None:
+    """Refuse, with an ``error`` at a ``place``, what is none of :data:`Curvature`."""
+    if mode not in get_args(Curvature):
+        raise error(f"must be one of {', '.join(get_args(Curvature))} (found {mode!r})", place=place)
+
+
 def make_surface(
     model: LatticeModel,
     *,
@@ -177,7 +184,13 @@ def make_surface(
     -------
     SurfaceModel
         Offset, normal and tangent of the vertices with an interpolated basis are along that basis at rest.
+
+    Raises
+    ------
+    SimulationError
+        There is no such mode.
     """
+    check_curvature(mode, "mode", SimulationError)
     vertex_count = len(weights)
     corners = model.node_index[triangle_nodes].astype(np.float64)
     edges = corners[:, 1:] - corners[:, :1]

@@ -17,7 +17,7 @@ from urllib.parse import quote
 from heartcase import __version__
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, UsageError
-from heartcase.schemas.files import exclusive, remove_leftovers
+from heartcase.schemas.files import exclusive, is_there, remove_leftovers
 from heartcase.simulator.load import load_case
 from heartcase.studio.catalogue.entries import Entry, read_entry
 from heartcase.studio.catalogue.ledger import (
@@ -74,8 +74,8 @@ class CatalogueResult:
 
 
 def write_catalogue(
-    cases: Path,
-    out: Path | None = None,
+    cases: Path | str,
+    out: Path | str | None = None,
     *,
     languages: Sequence[str] = (),
     say: Callable[[str], None] = lambda name: None,
@@ -100,12 +100,13 @@ def write_catalogue(
         There is no such folder, or no case in it; or the site's folder holds what the catalogue did not write.
     """
     start = time.perf_counter()
-    if not cases.is_dir():
+    cases = Path(cases)
+    if not (is_there(cases) and cases.is_dir()):
         raise MissingPathError("there is no such folder: give the OUT of a library build", place="OUT")
     folders = {path.name.removesuffix(".case"): path for path in sorted(cases.glob("*.case")) if path.is_dir()}
     if not folders:
         raise UsageError("there is no case in this folder: give the OUT of a library build", place="OUT")
-    site = cases / "catalogue" if out is None else out
+    site = cases / "catalogue" if out is None else Path(out)
     if not is_ours(site):
         raise UsageError(
             "the folder holds something that the catalogue did not write: give a new or an empty one", place="--to"

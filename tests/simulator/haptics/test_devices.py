@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
 
-from heartcase.schemas.errors import UsageError
+from heartcase.schemas.errors import SimulationError, UsageError
 from heartcase.simulator.haptics import device as devices
-from heartcase.simulator.haptics.device import DeviceSpec, device_names, open_device
+from heartcase.simulator.haptics.device import DeviceReading, DeviceSpec, NamedDevice, device_names, open_device
 from heartcase.simulator.haptics.hand_over import Ring, shared_memory
 from heartcase.simulator.haptics.mouse_device import MouseDevice, MouseFeed, PointerPlane
+from heartcase.simulator.haptics.poses import ToolPose
 from heartcase.simulator.haptics.trajectory_device import TrajectoryDevice
 
 PLANE = PointerPlane((10.0, 20.0, 30.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), 0.25)
@@ -134,3 +136,70 @@ def test_rows_are_whole_while_another_writes():
     ends.set()
     writer.join()
     assert numbers == sorted(numbers)
+
+
+def test_options_that_a_device_does_not_take_are_named_with_those_that_it_takes():
+    with pytest.raises(UsageError, match=r"trajectory does not take .*'speed'; its options are: times_s, positions_mm"):
+        open_device(DeviceSpec("trajectory", {"times_s": [0.0], "positions_mm": [[1.0, 2.0, 3.0]], "speed": 1}))
+    with pytest.raises(UsageError, match=r"mouse does not take .*'memory'"):
+        open_device(DeviceSpec("mouse"))
+
+
+READING = DeviceReading(ToolPose.at((1.0, 2.0, 3.0)), buttons=(True,))
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (RuntimeError("usb gone"), "failed with RuntimeError: usb gone"),
+        (OSError(5, "Input/output error", "/home/ada lovelace/port"), r"failed with OSError: Input/output error$"),
+        (None, "returned a NoneType and must return a DeviceReading"),
+        ((1.0, 2.0, 3.0), "returned a tuple and must return a DeviceReading"),
+        (DeviceReading((1.0, 2.0, 3.0)), "returned a tuple and must return a ToolPose in its DeviceReading"),
+        (DeviceReading(ToolPose(np.array([np.nan, 0, 0]), np.eye(3))), r"pose\.position_mm that is not finite"),
+        (DeviceReading(ToolPose(np.zeros(2), np.eye(3))), r"pose\.position_mm .*shape \(3,\)"),
+        (DeviceReading(ToolPose(np.zeros(3), np.zeros(3))), r"pose\.turn .*shape \(3, 3\)"),
+        (replace(READING, motion=np.full((2, 3), np.inf)), "motion that is not finite"),
+        (replace(READING, motion="fast"), "motion that is not finite"),
+        (replace(READING, buttons=True), "buttons"),
+    ],
+)
+def test_a_device_that_fails_or_says_what_is_no_reading_is_named(monkeypatch, said, told):
+    class Stylus:
+        def read(self, time_s):
+            if isinstance(said, Exception):
+                raise said
+            return said
+
+        def write(self, force_n, torque_n_mm):
+            raise RuntimeError("usb gone")
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(devices, "open_device", lambda spec: Stylus())
+    device = NamedDevice(DeviceSpec("stylus"))
+    with pytest.raises(SimulationError, match=f"haptic device stylus .*{told}"):
+        device.read(0.0)
+    with pytest.raises(SimulationError, match="haptic device stylus failed with RuntimeError: usb gone"):
+        device.write(np.zeros(3), np.zeros(3))
+
+
+def test_a_reading_of_lists_is_one(monkeypatch):
+    plain = DeviceReading(ToolPose([1.0, 2.0, 3.0], np.eye(3)), [[0.0] * 3] * 2, [True])
+
+    class Stylus:
+        def read(self, time_s):
+            return plain
+
+    monkeypatch.setattr(devices, "open_device", lambda spec: Stylus())
+    assert NamedDevice(DeviceSpec("stylus")).read(0.0) is plain
+
+
+def test_a_device_that_cannot_be_opened_is_named_with_its_words(monkeypatch):
+    def opened(spec):
+        raise RuntimeError("no usb")
+
+    monkeypatch.setattr(devices, "open_device", opened)
+    with pytest.raises(SimulationError, match="haptic device stylus failed with RuntimeError: no usb"):
+        NamedDevice(DeviceSpec("stylus"))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from heartcase.schemas.errors import UsageError
 from heartcase.simulator.haptics.alignment import Alignment, pose_at, segment_times
 from heartcase.simulator.haptics.poses import ToolPose, rotation_between, turn_by, vector_of
 
@@ -77,3 +78,9 @@ def test_after_a_stall_the_hands_way_is_left_out():
     behind = np.repeat(np.cumsum(lengths_s), 2) - taken
     assert behind[-1] < 0.05
     assert (np.diff(taken) >= 0.0).all()
+
+
+@pytest.mark.parametrize("position", [(np.nan, 0, 0), (0, 0), "here", None, [[0, 0, 0]]])
+def test_a_pose_is_at_three_finite_numbers(position):
+    with pytest.raises(UsageError, match="position_mm: must be three finite numbers"):
+        ToolPose.at(position)

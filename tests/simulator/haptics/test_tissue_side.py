@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.errors import SimulationError, UsageError
 from heartcase.simulator.forces.reference import elastic_energy
 from heartcase.simulator.haptics.channel import Channel
 from heartcase.simulator.haptics.device import DeviceReading, DeviceSpec
@@ -22,6 +22,18 @@ from tests.simulator.haptics.late_tissue import closed_path, publish, work_on_ha
 from tests.simulator.lattices import block, oblique_geometry
 
 SETTINGS = ServoSettings()
+DRIVER = """
+import numpy as np
+from heartcase import DeviceReading, ToolPose
+
+class Stylus:
+    def read(self, time_s):
+        if time_s > 0.05:
+            raise RuntimeError("usb gone")
+        return DeviceReading(ToolPose.at(np.zeros(3)))
+    def write(self, force_n, torque_n_mm): pass
+    def close(self): pass
+"""
 
 
 def held_block(backend="reference"):
@@ -173,6 +185,36 @@ def test_the_loop_runs_beside_the_simulation_and_ends_when_told():
     assert log[-1, 1] >= number
     with pytest.raises(SimulationError, match="has ended"):
         servo.check()
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, None])
+def test_a_segment_has_at_least_one_part(count):
+    with pytest.raises(UsageError, match="part_count: must be a whole number, at least 1"):
+        TissueSide().segment(count, lambda: None)
+
+
+def test_a_servo_takes_specs_of_devices_alone():
+    with pytest.raises(UsageError) as found:
+        HapticServo(["stylus", DeviceSpec("mouse"), None])
+    assert [problem.place for problem in found.value.problems] == ["devices[1]", "devices[3]"]
+    for one in ("stylus", DeviceSpec("mouse")):
+        with pytest.raises(UsageError, match="is a list"):
+            HapticServo(one)
+
+
+def test_the_loop_tells_which_device_failed(tmp_path, monkeypatch):
+    (tmp_path / "failing_driver.py").write_text(DRIVER)
+    points = tmp_path / "failing_driver-1.dist-info"
+    points.mkdir()
+    (points / "METADATA").write_text("Metadata-Version: 2.1\nName: failing-driver\nVersion: 1\n")
+    (points / "entry_points.txt").write_text("[heartcase_haptic_devices]\nstylus = failing_driver:Stylus\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with HapticServo([DeviceSpec("stylus")]) as servo:
+        servo._process.join(60.0)
+        with pytest.raises(
+            SimulationError, match=r"has ended: the haptic device stylus failed .*: usb gone; make another"
+        ):
+            servo.check()
 
 
 def test_a_device_that_cannot_be_opened_is_told():

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from heartcase.schemas.errors import RecordingError, SimulationError
 from heartcase.schemas.recording.commands import (
+    AddSprings,
     Advance,
     CloseGrab,
+    Cut,
+    DrawStitch,
+    Entry,
     GoTo,
     LeadGrab,
     Mark,
@@ -21,6 +26,7 @@ from heartcase.schemas.recording.commands import (
     Redo,
     RemoveSprings,
     Rewind,
+    Snip,
     Undo,
     parse_command,
 )
@@ -291,3 +297,49 @@ def test_commands_are_plain_data_and_say_what_is_wrong_with_them():
     ):
         with pytest.raises(RecordingError, match=told):
             parse_command(wrong)
+
+
+def test_a_command_that_is_made_in_a_program_says_all_that_is_wrong_with_it():
+    with pytest.raises(RecordingError) as found:
+        CloseGrab(name="", center_mm=(1.0, 2.0, float("nan")), radius_mm=-1)
+    places = [problem.place for problem in found.value.problems]
+    assert places == ["CloseGrab.name", "CloseGrab.center_mm[3]", "CloseGrab.radius_mm"]
+    for make, told in (
+        (lambda: CloseGrab(nme="a", center_mm=(1, 2, 3)), "did you mean 'name'"),
+        (lambda: Cut(poses_mm=[[(0, 0, 0), (1, 1, 1)]]), "at least 2"),
+        (lambda: AddSprings(nodes=((0, -1),), stiffness_n_m=1.0), r"nodes\[1\]\[2\]: must be at least 0"),
+        (lambda: Advance(steps=5, of=4), "fewer"),
+        (lambda: DrawStitch(name="a"), "either"),
+        (lambda: Snip(name="a", angle_deg=91), "at most 90"),
+        (lambda: Entry(step=0, command={"kind": "advance", "steps": 0}), "Entry.command.steps: must be at least 1"),
+        (lambda: Undo(steps=1), "unknown setting"),
+    ):
+        with pytest.raises(RecordingError, match=told):
+            make()
+    # a model that holds commands is read as before
+    with pytest.raises(ValidationError):
+        Entry.model_validate({"step": 0, "command": {"kind": "advance", "steps": 0}})
+
+
+def test_what_is_given_and_is_no_command_or_no_number_is_refused_and_nothing_is_done():
+    session = OperatingSession(block_simulation())
+    session.advance(20)
+    before = fingerprint(session.simulation)
+    nan, inf = float("nan"), float("inf")
+    for call, told in (
+        *((lambda steps=steps: session.advance(steps), "steps: .*whole number") for steps in (0, -1, 1.5, "2", None)),
+        (lambda: session.take([], -1), r"steps: .*at least 0 .*\(found -1\)"),
+        (lambda: session.take(["x"]), r"command: give a command.*found str"),
+        (lambda: session.do({"kind": "undo"}), "parse_command.*found dict"),
+        (lambda: session.do(None), "None"),
+        (lambda: session.begin_cut(Undo()), r"give a Cut \(found Undo\)"),
+        (lambda: session.begin_cut(None), r"give a Cut \(found None\)"),
+        *((lambda s=s: session.rewind(s), rf"seconds: .*\(found {s}\)") for s in (nan, inf, -1, None)),
+        (lambda: session.go_to(1.5), "step: must be a whole number"),
+        (lambda: list(session.play("x")), "step: must be a whole number"),
+    ):
+        with pytest.raises(SimulationError, match=told):
+            call()
+    assert fingerprint(session.simulation) == before
+    assert session.advance(np.int64(2)).step == 22
+    assert session.take([], 2.0).step == 24

@@ -37,7 +37,7 @@ from heartcase.schemas.recording.commands import (
 from heartcase.schemas.recording.header import HEADER_NAME, LOG_NAME, header_hash
 from heartcase.schemas.recording.kept_entries import KeptEntries
 from heartcase.schemas.recording.log import opened, sealed
-from heartcase.schemas.recording.reader import check_recording, open_recording
+from heartcase.schemas.recording.reader import check_recording, is_recording, open_recording
 from heartcase.simulator.engine.cpu import chunks
 from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.shared.contact import NO_PROBES
@@ -338,6 +338,28 @@ def test_what_is_no_recording_is_refused(tmp_path):
         Recorder(session, tmp_path / "b.recording")
     recorder.discard()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_that_no_path_may_have_is_a_recording_that_is_not_there():
+    session = OperatingSession(block_simulation())
+    for name in ("a\0b", "x" * 5000):
+        with pytest.raises(RecordingError, match="nothing at this path"):
+            open_recording(name)
+        assert [problem.place for problem in check_recording(name)] == ["recording"]
+        assert not is_recording(Path(name))
+        with pytest.raises(RecordingError, match=r"no path may hold|cannot be written"):
+            Recorder(session, name)
+    assert session.log is None
+
+
+def test_steps_and_states_that_a_recording_does_not_have_are_refused(recording):
+    opened_now = open_recording(recording)
+    assert opened_now.branch_at(opened_now.end_step).step == 300
+    for step in (-1, 301, 99999, 1.5):
+        with pytest.raises(RecordingError, match=r"step: .*at least 0 and at most 300"):
+            opened_now.branch_at(step)
+    with pytest.raises(RecordingError, match=r"77 entries are done; there are: 0, "):
+        opened_now.state_bytes(77)
 
 
 def told_of(call: Callable[[], Any]) -> tuple[Any, list[str]]:

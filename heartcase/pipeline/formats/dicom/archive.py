@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO
 
 from heartcase.schemas.errors import ScanError
+from heartcase.schemas.files import is_there
 
 __all__ = ["FILE_LIMIT", "ArchivedFile", "SourceFile", "archived_files", "is_archive"]
 
@@ -78,7 +79,7 @@ SourceFile = Path | ArchivedFile
 
 def is_archive(path: Path) -> bool:
     """Whether this is a file that is a zip archive, or is named like one."""
-    if not path.is_file():
+    if not (is_there(path) and path.is_file()):
         return False
     if path.suffix.lower() == ".zip":
         return True
