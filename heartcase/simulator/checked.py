@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any
 
 import numpy as np
@@ -14,33 +13,10 @@ from heartcase.simulator.instruments.placing import is_point
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
 
-__all__ = ["check_fit", "checked_gravity", "checked_steps"]
+__all__ = ["check_fit", "checked_gravity"]
 
-STEPS_MOST = 2**31 - 1
-"""Steps in one call."""
 GRAVITY_MOST = 1e4
 """A thousand times that of the earth, m/s2."""
-
-
-def checked_steps(step_count: object) -> int:
-    """A number of steps to take.
-
-    Raises
-    ------
-    SimulationError
-        It is no whole number, negative, or more than 2^31 - 1.
-    """
-    try:
-        count = operator.index(step_count)  # type: ignore[arg-type]
-    except TypeError:
-        raise SimulationError(
-            f"cannot take {step_count!r} steps: give a whole number, 0 or more", place="step"
-        ) from None
-    if count < 0:
-        raise SimulationError(f"cannot take {count} steps: restore a state to go back", place="step")
-    if count > STEPS_MOST:
-        raise SimulationError(f"cannot take {count} steps at once: give at most {STEPS_MOST}", place="step")
-    return count
 
 
 def checked_gravity(gravity_m_s2: npt.ArrayLike) -> tuple[float, float, float]:

@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from heartcase.schemas.arguments import whole_number
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.checked import checked_gravity, checked_steps
+from heartcase.schemas.recording.commands import STEPS_MAX
+from heartcase.simulator.checked import checked_gravity
 from heartcase.simulator.cutting.cuts import Step
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
@@ -204,7 +206,7 @@ class Simulation(PatchedTissue, OperatedTissue):
             The number of steps is no whole one or negative; or a position is not a number any more, or energy came from
             nowhere. The state before these steps is restored.
         """
-        step_count = checked_steps(step_count)
+        step_count = whole_number(step_count, "step_count", least=0, most=STEPS_MAX, error=SimulationError)
         if step_count == 0:
             return
         before = self.state
