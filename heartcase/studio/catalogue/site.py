@@ -15,6 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from heartcase import __version__
+from heartcase.schemas.bundle.approval import approval_log
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, UsageError
 from heartcase.schemas.files import exclusive, is_there, remove_leftovers
@@ -187,11 +188,13 @@ class _Run:
         try:
             manifest = (folder / MANIFEST_NAME).read_bytes()
             sizes = sorted((path.name, path.lstat().st_size) for path in folder.iterdir())
+            log = approval_log(folder)
+            approved = hashlib.sha256(log.read_bytes()).hexdigest() if log.is_file() else ""
         except OSError:
             return ""
         report = (self.cases / f"{name}.report.html").is_file()
         what = [_code(), self.languages, self._to_cases(), sizes, report, hashlib.sha256(manifest).hexdigest()]
-        what.append(self._tours)
+        what += [self._tours, approved]
         return hashlib.sha256(json.dumps(what).encode()).hexdigest()
 
     def _to_cases(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from heartcase.pipeline.exports.tubes import VESSEL_COLOUR, TubeMesh, vessel_tubes
 from heartcase.schemas.arrays import Float64, UInt8
+from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.format import FileRole
 from heartcase.schemas.bundle.reader import OpenBundle
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -53,6 +54,8 @@ class Shown:
     through what the case is about, where landmarks tell."""
     oxygen: dict[str, Any]
     """How oxygenation was worked out, and its colours."""
+    is_approved: bool
+    """Whether somebody approved these bytes."""
 
 
 def shown_of(bundle: OpenBundle, level: int) -> Shown:
@@ -72,7 +75,8 @@ def shown_of(bundle: OpenBundle, level: int) -> Shown:
     }
     labels = np.unique(bundle.arrays(FileRole.GRID, ("cell_label",))["cell_label"]).tolist()
     inside = [_structure(number, table, blood) for number in labels if number and number not in numbers]
-    return Shown(of_triangles, structures, vessels, landmark_lines(landmarks), inside, _axes(bundle), oxygen)
+    lines, is_approved = landmark_lines(landmarks), approval_state(bundle.directory).state == "approved"
+    return Shown(of_triangles, structures, vessels, lines, inside, _axes(bundle), oxygen, is_approved)
 
 
 def _structure(number: int, table: LabelTable, blood: Oxygenation) -> dict[str, Any]:

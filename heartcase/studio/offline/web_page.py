@@ -232,6 +232,7 @@ def _facts(case: Case, shown: Shown, structures: Structures, frames_per_second: 
     return {
         "name": manifest.name,
         "notice": manifest.notice,
+        "is_approved": shown.is_approved,
         "structures": [*shown.structures, faces],
         "landmarks": shown.landmarks,
         "inside": shown.inside,

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.errors import HeartcaseError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
@@ -109,6 +110,7 @@ class Theatre:
         self._plans = ComparedPlans(case, out, lambda: self._hear(self._plans.message))
         self.saved = SavedPage(case, out, page_of, lambda: self._hear(self._saved_message))
         self._freed: str | None = None
+        self._is_approved = False
         self._device_page: Page | None = None
 
     def _tour_folders(self, name: str) -> list[Path]:
@@ -154,6 +156,7 @@ class Theatre:
     async def _newest_stage(self) -> tuple[Stage, bool]:
         """The stage of the case as it lies there now, opened where there is none; whether it took another's place."""
         before = self._stage
+        self._is_approved = await self._run(lambda: approval_state(self._case).state == "approved")
         if before is not None and await self._run(lambda: before.is_of(self._case)):
             return before, False
         stage = self._stage = await self._run(self._open())
@@ -178,6 +181,7 @@ class Theatre:
         """Let a page look at a stage, from its beginning."""
         origin = self.origin
         more = {
+            "is_approved": self._is_approved,
             "recipe": None if origin is None else origin.address,
             "scan": has_scan(self._case, None if origin is None else origin.recipe),
         }

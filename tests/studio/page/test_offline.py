@@ -9,7 +9,7 @@ import zlib
 import numpy as np
 import pytest
 
-from heartcase import CloseGrab, LeadGrab
+from heartcase import CloseGrab, LeadGrab, approve_case
 from heartcase.cli.main import main
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import load_case
@@ -211,3 +211,23 @@ def test_it_is_pulled_by_the_pages_own_engine(recorded):
         tab.click("#as-at-start")
         tab.wait_for_timeout(1000)
         assert np.abs(tab.evaluate(PLACES)).max() < 0.05
+
+
+def test_that_nobody_approved_the_case_stands_on_the_page_until_somebody_does(chromium, tmp_path):
+    case, page = write_case(tmp_path), tmp_path / "page.html"
+    context = chromium.new_context(viewport={"width": 1366, "height": 768}, locale="de-DE")
+    tab = context.new_page()
+
+    def opened():
+        assert main(["export", str(case), "-o", str(page)]) == 0
+        tab.goto(page.as_uri())
+        tab.wait_for_selector(READY, timeout=60_000)
+        return tab.locator("#draft-case")
+
+    assert opened().inner_text().startswith("Entwurf: Niemand hat diesen Fall freigegeben")
+    # it leaves the letter below the heart free
+    scene, notices = (tab.locator(one).bounding_box() for one in ("#scene", ".scene-notices"))
+    assert notices["x"] > scene["x"] + scene["width"] / 2 + 12
+    approve_case(case, role="paediatric cardiologist")
+    assert opened().is_hidden()
+    context.close()

@@ -424,6 +424,7 @@ async function run() {
 
   find("case-name").textContent = facts.name;
   find("not-device").textContent = facts.notice;
+  find("draft-case").hidden = facts.is_approved;
   panel.setStructures(colouring.listed());
   panel.showRecordings(data.recordings.map(({ name }) => name));
   find("tab-recordings").hidden = data.recordings.length === 0;
