@@ -135,7 +135,7 @@ function run() {
       preview.refresh();
       shapePanel.tellLumens();
       structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
-      guide.tell(message.checklist ?? []);
+      guide.tell(message.checklist ?? [], message.marked ?? []);
     } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
     else if (message.kind === "shape") {
       shaping.tell(/** @type {any} */ (message));

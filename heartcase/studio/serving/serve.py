@@ -41,7 +41,7 @@ def serve(
         What the page shows first: a recipe's file, or a case's folder; the start page where both are left out.
     folder
         Where the start page looks, and nowhere else; the user's own folder, the present one and that of the recipe or
-        the case when left out.
+        the case when left out. It begins in the last one then, unless nothing in it can be opened.
     out
         Directory that the recipe's case is built in, with the build's cache.
     port
@@ -58,8 +58,9 @@ def serve(
     token = secrets.token_urlsafe(24)
     registry, address = Registry(token), "/"
     opened = recipe or case
-    roots = [folder] if folder else [Path.home(), Path.cwd(), *([opened.resolve().parent] if opened else [])]
-    start = Start(registry, roots=roots, looks=folder is not None)
+    begin = folder or (opened.resolve().parent if opened else Path.cwd())
+    roots = [folder] if folder else [Path.home(), Path.cwd(), begin]
+    start = Start(registry, roots=roots, begin=begin, looks=folder is not None)
     if recipe is not None:
         address = start.open_recipe(recipe, out=out)
     elif case is not None:

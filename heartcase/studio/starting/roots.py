@@ -11,10 +11,12 @@ from typing import Any
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import UsageError
 
-__all__ = ["ENTRY_COUNT_MAX", "Roots"]
+__all__ = ["ENTRY_COUNT_MAX", "OUTSIDE", "Roots"]
 
 ENTRY_COUNT_MAX = 500
 """Entries of a folder that are shown at most."""
+OUTSIDE = "outside"
+"""Place of the problem that a path leads out of all folders: the page says in its language what to do."""
 _LOOKED_AT_MAX = 20_000
 """Entries of a folder that are looked at, at most."""
 _SCANS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
@@ -76,7 +78,7 @@ class Roots:
             raise UsageError(
                 "this lies outside of the folders that the studio was started with: end heartcase, and start it with "
                 'that folder: heartcase studio "THE FOLDER"',
-                place="path",
+                place=OUTSIDE,
             )
         if not is_there:
             raise UsageError("there is nothing at this path: check its spelling", place="path")

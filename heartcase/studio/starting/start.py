@@ -49,8 +49,10 @@ class Start:
     registry
         Where recipes and cases are opened.
     roots
-        Folders that may be looked into, the first one at the beginning. When left out the user's own and the present
-        one, which the page begins in unless nothing in it can be opened.
+        Folders that may be looked into; the user's own and the present one when left out.
+    begin
+        Where the page begins, unless nothing in it can be opened: then, and when left out, in the first of ``roots``,
+        or the present folder where these are left out.
     state
         Folder of the list of recent work; the user's when left out.
     looks
@@ -58,10 +60,17 @@ class Start:
     """
 
     def __init__(
-        self, registry: Registry, *, roots: Sequence[Path] = (), state: Path | None = None, looks: bool = False
+        self,
+        registry: Registry,
+        *,
+        roots: Sequence[Path] = (),
+        begin: Path | None = None,
+        state: Path | None = None,
+        looks: bool = False,
     ) -> None:
         self._registry = registry
-        self._roots = Roots.of(roots) if roots else Roots.of((Path.home(), Path.cwd())).beginning_in(Path.cwd())
+        begin = begin or (roots[0] if roots else Path.cwd())
+        self._roots = Roots.of(roots or (Path.home(), Path.cwd())).beginning_in(begin)
         self._looks = looks
         self._recent = Recent(state or state_folder())
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="studio-start")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from heartcase import approve_case
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.live.live import Live
@@ -366,3 +367,28 @@ def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
                 if name == "recordings":
                     tab.locator("#recordings button").first.wait_for()
                 assert_accessible(page, f"{theme}, {language}, {name}")
+
+
+def test_that_nobody_approved_the_case_stands_on_the_page_until_somebody_does(chromium, operated):
+    with browsing(chromium, operated, locale="de-DE") as page:
+        assert page.text("#draft-case").startswith("Entwurf: Niemand hat diesen Fall freigegeben")
+        approve_case(operated.recipe, role="paediatric cardiologist")
+        page.open()
+        assert page.tab.locator("#draft-case").is_hidden()
+
+
+def test_all_tools_and_tabs_fit_in_german_and_what_is_said_changes_its_language(chromium, operated):
+    with browsing(chromium, operated, locale="de-DE", viewport={"width": 1366, "height": 768}) as page:
+        tab = page.tab
+        tab.locator("#strain").check()
+        assert "Gedehnt" in page.text("#stretch-legend")
+        # the tool that ties is there with stitches alone
+        tab.locator("#tie").evaluate("(one) => { one.hidden = false; }")
+        theme = tab.locator("#theme").bounding_box()
+        assert theme["x"] + theme["width"] <= 1366
+        for name in ("structures", "recordings", "help"):
+            tab.locator(f"#tab-{name}").click()
+            tops = {one.bounding_box()["y"] for one in tab.locator("[role=tab]:visible").all()}
+            assert len(tops) == 1
+        tab.locator("#language").select_option("en")
+        assert "Stretched" in page.text("#stretch-legend")

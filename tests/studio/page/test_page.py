@@ -347,11 +347,16 @@ def test_volumes_the_checklist_and_the_next_place(chromium, painted):
         row = page.tab.locator("#structures .structure").filter(has_text="aorta")
         assert "not marked" in row.inner_text()
         assert "Background" in page.text("#checklist .open:first-child")
+        assert "A hole in a septum?" in page.text("#checklist li:last-child")
         look_at(page, middle, affine)
-        for name, mm in (("background", corner), ("aorta", middle)):
+        # without background the whole scan is one structure: that is said, and its volume means nothing
+        for count, (name, mm) in enumerate((("aorta", middle), ("background", corner)), 1):
             page.tab.locator("#structures .pick").filter(has_text=name).click()
             stroke(page, "axial", [mm, off(mm, 2.0, 0, 0)], affine)
-        page.saved(2)
+            page.saved(count)
+            if name == "aorta":
+                page.tab.locator("#checklist .open").get_by_text("all of the scan counts as aorta").wait_for()
+                assert "ml" not in row.inner_text()
         session = open_session(path, out=path.parent / "out").session
         ml = (session.labels == session.table["aorta"].value).sum() * session.geometry.voxel_volume_mm3 / 1000.0
         until(lambda: f"{ml:.2f} ml" in row.inner_text() or f"{ml:.1f} ml" in row.inner_text())
@@ -441,4 +446,6 @@ def test_a_server_that_is_gone_and_comes_back(chromium, painted):
         server.stop()
         server.start(token="another")
         page.tab.locator("#lost").get_by_text("started again").wait_for(timeout=60_000)
+        # and nothing on it looks as if it could be used
+        assert page.tab.locator("main").evaluate("(one) => one.inert && getComputedStyle(one).opacity < 0.5")
         assert len(load_recipe(path).strokes) == 2

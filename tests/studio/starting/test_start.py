@@ -14,9 +14,11 @@ from PIL import Image
 from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe, read_recipe_text
 from heartcase.studio.starting.recent import COUNT_MAX, Recent, state_folder
+from heartcase.studio.starting.registry import Registry
 from heartcase.studio.starting.roots import ENTRY_COUNT_MAX, Roots
 from heartcase.studio.starting.samples import _SCAN_PATH, copy_sample, sample_folder, shown_samples
 from heartcase.studio.starting.shown_series import shown_series
+from heartcase.studio.starting.start import Start
 from tests.pipeline.formats.dicom_series import write_series
 from tests.studio.talking import line, studio, write_recipe
 
@@ -84,6 +86,8 @@ def test_the_page_begins_where_the_studio_was_started(tmp_path):
     # nothing to open there, or not to be looked into
     assert Roots.of((home, beside)).beginning_in(beside).listing(None)["path"] == str(home)
     assert Roots.of((home,)).beginning_in(beside).listing(None)["path"] == str(home)
+    begins = Start(Registry("token"), roots=(home, inside), begin=inside, state=tmp_path)
+    assert begins._roots.listing(None)["path"] == str(inside)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
@@ -121,6 +125,7 @@ def test_paths_do_not_leave_the_folders_of_the_start(browser, tmp_path, do, tmp_
             answer = page.ask(do=do, path=str(one))
             assert answer["kind"] == "refused"
             assert outside.name not in json.dumps(answer)
+            assert answer["problems"][0]["place"] in ("outside", "path")
         assert page.ask(do=do, path="x\0y")["kind"] == "refused"
         assert page.ask(do=do, path="nothing")["problems"][0]["message"].startswith("there is nothing at this path")
         begin = {"do": "begin", "path": "scan.nii.gz", "folder": str(outside), "file": "new.toml"}

@@ -9,7 +9,7 @@ import { showCompiling } from "../panel/status.js";
 import { runTabs } from "../panel/tiles.js";
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
-import { runLanguage, runTheme, runWords } from "../shared/looks.js";
+import { runLanguage, runTheme, runWords, tellLost } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
 import { figure, language, say } from "../shared/words.js";
 import { SceneShower } from "../touring/scene.js";
@@ -152,6 +152,11 @@ function run() {
     ask({ do: "replay", name });
   }
 
+  function tellStretch() {
+    const [low, high] = stretchShown;
+    find("stretch-legend").textContent = say("operate_stretch", { low: figure(low, 1), high: figure(high, 1) });
+  }
+
   function forget() {
     for (const one of pointers) one.forget();
     picture.tools.showLine([]);
@@ -195,6 +200,8 @@ function run() {
     if (answer.used === false && answer.id === lettingGo) notice("", [{ place: "", message: say("operate_nothing_held") }]);
   }
 
+  /** Stretch that the first and the last colour stand for. @type {[number, number]} */
+  let stretchShown = [1, 1];
   let lettingGo = -1;
   const actions = {
     undo: () => (forget(), ask({ do: "undo" })),
@@ -312,6 +319,7 @@ function run() {
   function begin(message) {
     find("case-name").textContent = find("case-name").title = message.name;
     find("not-device").textContent = message.notice;
+    find("draft-case").hidden = message.is_approved;
     tools = message.tools;
     sizes.clear();
     const isFirst = box[1][0] === 1 && box[0][0] === 0;
@@ -322,8 +330,8 @@ function run() {
     tissueInside = message.tissue_inside;
     panel.setStructures(message.structures);
     picture.heart.paintStretch(message.stretch_colours);
-    const [low, high] = message.stretch_shown;
-    find("stretch-legend").textContent = say("operate_stretch", { low: figure(low, 1), high: figure(high, 1) });
+    stretchShown = message.stretch_shown;
+    tellStretch();
     isReady = true;
     figures.setPlanned(message.incisions);
     device.setNames(message.devices);
@@ -440,10 +448,13 @@ function run() {
     console.error(error);
   }
 
+  function tellState() {
+    const state = connection.state.value;
+    tellLost(state, state === "lost" ? say("operate_lost") : state === "stranger" ? say("operate_stranger") : "");
+  }
+
   connection.state.follow((state) => {
-    const isLost = state === "lost" || state === "stranger";
-    find("lost").hidden = !isLost;
-    find("lost").textContent = isLost ? say(state === "lost" ? "operate_lost" : "operate_stranger") : "";
+    tellState();
     if (state === "open") return;
     isReady = false;
     document.body.dataset.ready = "false";
@@ -451,6 +462,8 @@ function run() {
     timeLine.tell("");
   });
   language.listen(() => {
+    tellState();
+    tellStretch();
     fillTools();
     timeLine.tell(timeLine.mode);
   });

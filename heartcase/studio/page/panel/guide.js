@@ -29,6 +29,8 @@ export class Guide {
   #rightCount = 0;
   /** @type {readonly Item[]} */
   #items = [];
+  /** @type {readonly string[]} */
+  #marked = [];
 
   /**
    * @param {Studio} studio
@@ -97,9 +99,10 @@ export class Guide {
     if (hadFocus) (right.hidden ? document.getElementById("next-place") : right)?.focus();
   }
 
-  /** @param {readonly Item[]} items */
-  tell(items) {
+  /** @param {readonly Item[]} items @param {readonly string[]} marked names of structures that are marked */
+  tell(items, marked) {
     this.#items = items;
+    this.#marked = marked;
     this.#showItems();
   }
 
@@ -130,7 +133,9 @@ export class Guide {
   #showItems() {
     const rows = this.#items.map(({ key, done, missing }) => {
       const word = `item_${key}`;
-      const text = isWord(word) ? say(word) : key;
+      // without background everything is a structure, which looks like a fault
+      const isAll = key === "background" && !done && this.#marked.length > 0;
+      const text = isAll ? say("item_background_first", { names: this.#marked.join(", ") }) : isWord(word) ? say(word) : key;
       const row = element("li", done ? "done" : "open");
       row.append(
         element("span", "tick", done ? "✓" : "○"),
@@ -141,6 +146,13 @@ export class Guide {
       if (!done && isWord(where)) row.append(pictureOf(key, say(where)));
       return row;
     });
+    if (rows.length > 0) {
+      const defects = element("li", "note");
+      const sign = element("span", "tick", "→");
+      sign.setAttribute("aria-hidden", "true");
+      defects.append(sign, element("span", "words", say("item_defects")));
+      rows.push(defects);
+    }
     this.parts.checklist.replaceChildren(...rows);
   }
 }

@@ -1,7 +1,7 @@
 /** What goes on: saved or not, connected or not, what was refused, how far the opening is. */
 
-import { figure, language, say, timeLeft } from "../shared/words.js";
-import { positionText } from "../pictures/views.js";
+import { tellLost } from "../shared/looks.js";
+import { figure, language, positionText, say, timeLeft } from "../shared/words.js";
 import { element } from "./structures.js";
 
 /** @typedef {import("../shared/connection.js").Problem} Problem */
@@ -26,7 +26,7 @@ export class Status {
     this.parts = {
       saved: find("saved"), under: find("under"), notice: find("notice"), words: find("notice-words"),
       curtain: find("curtain"), curtainWords: find("curtain-words"), bar: /** @type {HTMLProgressElement} */ (find("curtain-bar")),
-      lost: find("lost"), compiling: find("curtain-compiling"),
+      compiling: find("curtain-compiling"),
     };
     find("notice-close").addEventListener("click", () => this.clear());
     for (const signal of [connection.state, connection.changing, studio.ready, studio.saved, language]) {
@@ -74,11 +74,10 @@ export class Status {
 
   #tellState() {
     const { connection, studio, parts } = this;
-    const { saved, lost } = parts;
+    const { saved } = parts;
     const state = connection.state.value;
     const isLost = state === "lost" || state === "stranger";
-    lost.hidden = !isLost;
-    lost.textContent = isLost ? say(state) : "";
+    tellLost(state, isLost ? say(state) : "");
     const isSaved = studio.ready.value && studio.saved.value && connection.changing.value === 0;
     saved.textContent = isLost ? say("state_lost") : !studio.ready.value ? say("state_opening") : isSaved ? say("saved") : say("saving");
     saved.dataset.state = isLost ? "lost" : isSaved ? "saved" : "saving";

@@ -70,6 +70,7 @@ export class Structures {
     chip.style.background = label.colour;
     const key = keyOf(label, this.studio.labels.value);
     const name = element("span", "name", label.name);
+    name.title = label.name;
     pick.append(chip, name, element("kbd", "", key), element("span", "volume"), element("span", "mark"));
     pick.addEventListener("click", (event) => {
       this.studio.pick(label.value);
@@ -94,6 +95,9 @@ export class Structures {
 
   #update() {
     const { labels, picked, hidden } = this.studio;
+    const background = labels.value.find(({ role }) => role === "background");
+    // until then they are those of the whole scan
+    const isBounded = !background || this.#marked === null || this.#marked.has(background.name);
     for (const row of /** @type {Iterable<HTMLElement>} */ (this.list.children)) {
       const value = Number(row.dataset.value);
       const label = labels.value.find((one) => one.value === value);
@@ -105,7 +109,7 @@ export class Structures {
       row.classList.toggle("picked", isPicked);
       part(row, ".pick").setAttribute("aria-pressed", String(isPicked));
       part(row, ".show").setAttribute("aria-pressed", String(!hidden.value.has(value)));
-      const isTold = volume !== undefined && label.role !== "background" && isMarked;
+      const isTold = isBounded && volume !== undefined && label.role !== "background" && isMarked;
       part(row, ".volume").textContent = isTold ? `${figure(volume, volume < 10 ? 2 : 1)} ml` : "";
       part(row, ".lock").setAttribute("aria-pressed", String(this.#locked.has(label.name)));
       const state = !isMarked ? "nothing" : (this.#states[label.name] ?? "marked");

@@ -1,6 +1,6 @@
 /** The three slices and the solids: drawn into one canvas behind their tiles, each only when it changed. */
 
-import { Lattice, plus, SIDES } from "./geometry.js";
+import { Lattice, plus } from "./geometry.js";
 import { PATIENT_PLANES, turned, turnedPlanes } from "./planes.js";
 import { drawOverlay, drawSolidOverlay, sidesOf } from "./overlay.js";
 import { SliceShader } from "./slice_shader.js";
@@ -9,7 +9,7 @@ import { lightOf, SolidShader } from "./solid_shader.js";
 import { SolidView } from "./solid_view.js";
 import { SurfaceShader } from "./surface_shader.js";
 import { Volume } from "./volume.js";
-import { figure, say } from "../shared/words.js";
+import { say } from "../shared/words.js";
 
 /** @typedef {import("./geometry.js").Vector} Vector */
 /** @typedef {import("../shared/studio.js").Studio} Studio */
@@ -346,9 +346,4 @@ export class Views {
       output.textContent = text;
     }
   }
-}
-
-/** A position as text: "L 12.3  P 4.0  H 1.2" in mm. @param {Vector} mm */
-export function positionText(mm) {
-  return mm.map((value, axis) => `${SIDES[2 * axis + (value < 0 ? 0 : 1)]} ${figure(Math.abs(value), 1)}`).join("  ");
 }

@@ -43,3 +43,13 @@ export function runWords() {
     fillWords(document);
   });
 }
+
+/** Say that the server is gone or does not know this page any more, which is of no use then. @param {import("./connection.js").State} state @param {string} words */
+export function tellLost(state, words) {
+  const lost = find("lost");
+  lost.hidden = words === "";
+  if (lost.textContent !== words) lost.textContent = words;
+  for (const part of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("body > :is(header, main, .time-bar)"))) {
+    part.inert = state === "stranger";
+  }
+}

@@ -2,7 +2,7 @@
 
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
-import { runLanguage, runTheme } from "../shared/looks.js";
+import { runLanguage, runTheme, tellLost } from "../shared/looks.js";
 import { fillWords, language, say, timeLeft } from "../shared/words.js";
 import { Chooser } from "./chooser.js";
 import { Lists } from "./lists.js";
@@ -25,10 +25,11 @@ function tell(words) {
   find("start-live").replaceChildren(...words());
 }
 
-/** @param {readonly Problem[]} problems */
-function problemLines(problems) {
+/** @param {readonly Problem[]} problems @param {Request} request */
+function problemLines(problems, request) {
   const list = element("ul", "problems");
-  list.append(...problems.map(({ message }) => element("li", "", message)));
+  const path = String(request.folder ?? request.path ?? "");
+  list.append(...problems.map(({ place, message }) => element("li", "", place === "outside" ? say("start_outside", { path }) : message)));
   return [element("strong", "", say("refused")), list];
 }
 
@@ -61,7 +62,7 @@ async function ask(request, then, isQuiet = false) {
     if (answer.kind === "go") location.assign(answer.address);
     else then?.(answer);
   } catch (error) {
-    if (error instanceof Refused) tell(() => (isQuiet ? [] : problemLines(error.problems)));
+    if (error instanceof Refused) tell(() => (isQuiet ? [] : problemLines(error.problems, request)));
     else if (error instanceof Lost) tell(() => []);
     else throw error;
   } finally {
@@ -100,11 +101,17 @@ function hear(message) {
   });
 }
 
+// a browser would leave the page and show the file, and it does not tell where that lies
+for (const name of /** @type {const} */ (["dragover", "drop"])) {
+  document.addEventListener(name, (event) => {
+    if (!event.dataTransfer?.types.includes("Files")) return;
+    event.preventDefault();
+    if (name === "drop") tell(() => [document.createTextNode(say("start_dropped"))]);
+  });
+}
+
 connection.state.follow((state) => {
-  const isLost = state === "lost" || state === "stranger";
-  const lost = find("lost");
-  lost.hidden = !isLost;
-  lost.textContent = isLost ? say(state === "lost" ? "start_lost" : "stranger") : "";
+  tellLost(state, state === "lost" ? say("start_lost") : state === "stranger" ? say("stranger") : "");
   document.body.dataset.state = state;
 });
 connection.open();

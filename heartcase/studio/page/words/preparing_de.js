@@ -45,4 +45,8 @@ export const words = {
   septum_between: "Getrennt: {pair}",
   opening_compiling: "Erster Start auf diesem Rechner: Er wird vorbereitet ({percent} %, {left}); darum dauert es einmal länger.",
   field_is_open: "Ist offen",
+  start_outside: "{path} liegt außerhalb der Ordner, mit denen heartcase gestartet wurde. Um es zu öffnen: diese Seite schließen, heartcase beenden und mit diesem Ordner neu starten: heartcase studio \"{path}\"",
+  start_dropped: "Nichts wurde geöffnet: Ein Browser verrät nicht, wo eine hineingezogene Datei liegt. Ihren Ordner in der Liste wählen oder oben eingeben.",
+  item_background_first: "Hintergrund rings um das Herz markieren (Taste 0): Bis dahin zählt die ganze Aufnahme als {names}",
+  item_defects: "Ein Loch in einem Septum? Von jeder Seite einen Strich hindurch in den der anderen laufen lassen oder es nach dem Bauen angeben: Sonst wächst dort eine Wand.",
 };
