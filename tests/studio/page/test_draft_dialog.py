@@ -31,6 +31,7 @@ def test_a_draft_is_dropped_refused_and_taken(chromium, painted):
     with browsing(chromium, server, viewport={"width": 1366, "height": 768}) as page:
         page.tab.evaluate(DROP, ["Surname^Forename.nii.gz", base64.b64encode(data).decode()])
         page.tab.locator("#draft[open]").wait_for()
+        assert page.text("#draft-what").startswith("Surname^Forename.nii.gz (")
         for theme in ("dark", "light"):
             page.tab.locator("html").evaluate("(one, theme) => { one.dataset.theme = theme; }", theme)
             assert_accessible(page, f"draft, {theme}")
@@ -52,7 +53,9 @@ def test_a_draft_is_dropped_refused_and_taken(chromium, painted):
         session = open_session(path, out=path.parent / "out").session
         np.testing.assert_array_equal(session.marked == 1, blocks == 1)
         row = page.tab.locator("#structures .structure").filter(has_text="left ventricle").first
-        until(lambda: "ml" in row.inner_text())
+        # without background its volume would be that of the whole scan
+        until(lambda: row.locator(".mark").get_attribute("data-state") != "nothing")
+        assert "ml" not in row.inner_text()
         page.tab.locator("#undo").click()
         page.tab.locator("#redo .count").get_by_text("1", exact=True).wait_for()
         page.ready()
@@ -62,7 +65,9 @@ def test_a_draft_is_dropped_refused_and_taken(chromium, painted):
         with page.tab.expect_file_chooser() as chosen:
             page.tab.locator("#draft-open").click()
         chosen.value.set_files([{"name": "a.txt", "mimeType": "text/plain", "buffer": b"hello"}])
-        page.tab.locator("#draft-add").click()
-        page.tab.locator("#draft-said").get_by_text("this kind of file is not taken").wait_for()
+        # what nobody reads is refused at once
+        page.tab.locator("#draft-said").get_by_text("Not taken: a.txt").wait_for()
+        assert ".mrk.json" in page.text("#draft-said")
+        assert page.tab.locator("#draft-add").is_disabled()
         page.tab.keyboard.press("Escape")
         assert not page.tab.locator("#draft").is_visible()

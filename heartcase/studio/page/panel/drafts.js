@@ -10,6 +10,9 @@ import { element } from "./structures.js";
 /** How deep inside its labels a draft is trusted, mm. */
 const CORE_MM = 3;
 const MEGABYTE = 1e6;
+/** What files that are read are called; a DICOM file may be called anything. */
+const ENDINGS = [".nii", ".nii.gz", ".nrrd", ".mha", ".dcm", ".stl", ".mrk.json"];
+const NAMES_SHOWN = 5;
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -28,6 +31,25 @@ export function packed(files, options) {
   return new Blob([length.buffer, header, ...files]);
 }
 
+/** Whether a file is of a kind that can be a draft. @param {File} file */
+export async function isDraft(file) {
+  const name = file.name.toLowerCase();
+  if (ENDINGS.some((ending) => name.endsWith(ending))) return true;
+  try {
+    return (await file.slice(128, 132).text()) === "DICM";
+  } catch {
+    // a folder has no content
+    return false;
+  }
+}
+
+/** @param {readonly File[]} files */
+function listed(files) {
+  const more = files.length - NAMES_SHOWN;
+  const names = files.slice(0, NAMES_SHOWN).map(({ name }) => name).join(", ");
+  return more > 0 ? say("draft_more", { names, more }) : names;
+}
+
 /** @param {Studio} studio @param {string} address where drafts are sent */
 export function runDrafts(studio, address) {
   const dialog = /** @type {HTMLDialogElement} */ (find("draft"));
@@ -35,20 +57,29 @@ export function runDrafts(studio, address) {
   const [add, said] = [/** @type {HTMLButtonElement} */ (find("draft-add")), find("draft-said")];
   /** @type {File[]} */
   let files = [];
+  /** Those of them that nobody reads. @type {readonly File[]} */
+  let unread = [];
   let isSending = false;
 
   const tell = () => {
     const size = files.reduce((sum, file) => sum + file.size, 0) / MEGABYTE;
-    find("draft-what").textContent = say("draft_what", { count: files.length, size: figure(size, size < 10 ? 1 : 0) });
-    add.disabled = isSending || files.length === 0 || !studio.ready.value;
+    const words = size < 0.1 ? `${figure(Math.ceil(1000 * size), 0)} kB` : `${figure(size, size < 10 ? 1 : 0)} MB`;
+    find("draft-what").hidden = unread.length > 0;
+    find("draft-what").textContent = say("draft_what", { names: listed(files), size: words });
+    if (unread.length > 0) said.replaceChildren(element("strong", "", say("draft_unread", { names: listed(unread) })));
+    add.disabled = isSending || files.length === 0 || unread.length > 0 || !studio.ready.value;
     input("draft-background").disabled = !input("draft-cores").checked;
     find("draft-busy").hidden = !isSending;
   };
 
   /** @param {Iterable<File>} given */
-  const offer = (given) => {
+  const offer = async (given) => {
     if (isSending || !studio.ready.value) return;
-    files = [...given];
+    const all = [...given];
+    const read = await Promise.all(all.map(isDraft));
+    if (isSending) return;
+    files = all;
+    unread = all.filter((_, n) => !read[n]);
     said.replaceChildren();
     tell();
     if (files.length > 0 && !dialog.open) dialog.showModal();
@@ -87,7 +118,7 @@ export function runDrafts(studio, address) {
 
   find("draft-open").addEventListener("click", () => chooser.click());
   chooser.addEventListener("change", () => {
-    offer(chooser.files ?? []);
+    void offer(chooser.files ?? []);
     // the same file can be chosen again
     chooser.value = "";
   });
@@ -115,7 +146,7 @@ export function runDrafts(studio, address) {
     // a browser would leave the page and show the file
     event.preventDefault();
     document.body.classList.remove("dropping");
-    offer(event.dataTransfer?.files ?? []);
+    void offer(event.dataTransfer?.files ?? []);
   });
   studio.ready.follow((ready) => {
     /** @type {HTMLButtonElement} */ (find("draft-open")).disabled = !ready;
