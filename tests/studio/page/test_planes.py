@@ -68,6 +68,9 @@ def test_the_hearts_own_planes_are_shown_where_they_are(chromium, painted):
         for theme in ("light", "dark"):
             page.tab.locator("html").evaluate("(one, theme) => { one.dataset.theme = theme; }", theme)
             assert_accessible(page, f"planes, {theme}")
+        # the tabs beside it stay free
+        box, panel = (page.tab.locator(one).bounding_box() for one in ("#planes", ".panel"))
+        assert box["x"] + box["width"] <= panel["x"]
     with_landmarks(path, affine)
     server.stop()
     server.start()

@@ -79,6 +79,7 @@ export class BuildTab {
       else if (!(error instanceof Lost)) this.onFault(error);
     }
     this.#draw();
+    if (this.#isAboutApproval) find("approve-problems").scrollIntoView({ block: "nearest" });
   }
 
   /** @param {import("../shared/connection.js").Message} message */

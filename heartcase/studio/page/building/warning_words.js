@@ -1,7 +1,8 @@
 /** Warnings in the page's words and language, from their kind and values; where there are none, as the server says it. */
 
-import { language } from "../shared/words.js";
+import { language, positionText, say } from "../shared/words.js";
 import { phrases as phrasesDe } from "../words/warning_phrases_de.js";
+import { phrases as phrasesEn } from "../words/warning_phrases_en.js";
 import { warnings as de } from "../words/warnings_de.js";
 import { warnings as en } from "../words/warnings_en.js";
 
@@ -11,23 +12,32 @@ import { warnings as en } from "../words/warnings_en.js";
 const SENTENCES = { de, en };
 /** Entries of a recipe's file as pages call them. @type {Record<string, Record<string, string>>} */
 const ENTRIES = {
-  de: { edits: "Änderung", ends: "Gefäßende", landmarks: "Landmarke", pins: "Fixpunkt" },
-  en: { edits: "edit", ends: "vessel end", landmarks: "landmark", pins: "pin" },
+  de: { edits: "Änderung", ends: "Gefäßende", landmarks: "Landmarke", pins: "Fixpunkt", "walls.contact": "Ihre Angabe" },
+  en: { edits: "edit", ends: "vessel end", landmarks: "landmark", pins: "pin", "walls.contact": "what you said of place" },
 };
 /** What values say beside names and numbers, by their names. @type {Record<string, typeof phrasesDe>} */
-const PHRASES = { de: phrasesDe };
+const PHRASES = { de: phrasesDe, en: phrasesEn };
+/** What is to be changed in the panel Shape, and under which heading it stands. */
+const MODEL_CHANGES = /make the cells smaller|ask for more triangles|machen sie die zellen kleiner|verlangen sie mehr dreiecke/gi;
+const PLACE = /\((-?[\d.]+), (-?[\d.]+), (-?[\d.]+)\)/g;
 
 /** @param {{text: string, code: string, parts: Parts}} warning */
 export function warningWords({ text, code, parts }) {
   const template = SENTENCES[language.value]?.[code];
-  if (template === undefined) return entriesNamed(text);
+  if (template === undefined) return inPage(entriesNamed(text));
   const said = filled(template, parts);
-  return capital(parts.about ? `${entriesNamed(parts.about)}: ${said}` : said);
+  return inPage(capital(parts.about ? `${entriesNamed(parts.about)}: ${said}` : said));
+}
+
+/** Places as the foot of the page writes them, and where in the page something is changed. @param {string} text */
+function inPage(text) {
+  const placed = text.replace(PLACE, (_, ...mm) => positionText(/** @type {[number, number, number]} */ (mm.slice(0, 3).map(Number)), " "));
+  return placed.replace(MODEL_CHANGES, (words, at) => (placed.startsWith(" (", at + words.length) ? words : `${words} (${say("shape")}, ${say("shape_model")})`));
 }
 
 /** A text that begins with an entry of a recipe's file, such as `edits[2] "VSD": ...`, with the page's name of it. @param {string} text */
 export function entriesNamed(text) {
-  const named = text.replace(/^(edits|ends|landmarks|pins)\[(\d+)\]/i, (whole, entry, number) => {
+  const named = text.replace(/^(edits|ends|landmarks|pins|walls\.contact)\[(\d+)\]/i, (whole, entry, number) => {
     const name = ENTRIES[language.value]?.[entry.toLowerCase()];
     return name === undefined ? whole : `${name} ${number}`;
   });

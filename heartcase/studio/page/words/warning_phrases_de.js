@@ -19,6 +19,8 @@ function pair(names) {
 /** Patterns and what is said for them, one after the other. @type {Record<string, [RegExp, (...found: string[]) => string][]>} */
 export const phrases = {
   by: [
+    [/^walls\.contact\[\d+\]$/, () => "Sie, zu dieser Stelle"],
+    [/^edits\[(\d+)\]/, (_, number) => `die Änderung ${number}`],
     [/^the landmark (?='.*'$)/, () => "die Landmarke "],
     [/^strokes (\d+) and (\d+), which run into each other$/, (_, one, other) => `die Striche ${one} und ${other}, die ineinander laufen`],
   ],
