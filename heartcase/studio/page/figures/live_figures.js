@@ -33,6 +33,11 @@ export function rows(all, which) {
   return found;
 }
 
+/** Figures without those that mean nothing: a cell that is inside out has no stretch and no stress. @param {Figures} figures @param {number} invertedCount */
+export function trusted(figures, invertedCount) {
+  return invertedCount > 0 ? { ...figures, stretch: null, stress_kpa: null } : figures;
+}
+
 /** Rows of how near it goes to each vessel. @param {readonly Figures[]} all */
 export function vesselRows(all) {
   const names = [...new Set(all.flatMap((one) => Object.keys(one.nearest_mm)))].sort();
@@ -124,16 +129,14 @@ export class LiveFigures {
       tell(remarks);
       return;
     }
-    const isInsideOut = found.inverted_cell_count > 0;
-    // a cell that is inside out has no stretch and no stress
-    const first = isInsideOut ? { ...found.defects[0].figures, stretch: null, stress_kpa: null } : found.defects[0].figures;
+    const first = trusted(found.defects[0].figures, found.inverted_cell_count);
     this.#table([
       ...found.defects.filter((/** @type {any} */ one) => one.name !== "").map((/** @type {any} */ one) => [one.name, rows([one.figures], OF_DEFECT)]),
       [found.name, [...rows([first], OF_INCISION), ...vesselRows([first])]],
     ]);
     remarks.push(say("figures_at", { time: figure(found.time_s, 2) }));
     if (found.defects.every((/** @type {any} */ one) => one.name === "")) remarks.unshift(say("figures_no_defect"));
-    if (isInsideOut) remarks.unshift(say("figures_inverted", { count: figure(found.inverted_cell_count, 0) }));
+    if (found.inverted_cell_count) remarks.unshift(say("figures_inverted", { count: figure(found.inverted_cell_count, 0) }));
     for (const one of found.defects) {
       if (one.rim_found !== null && one.rim_found < 1) {
         remarks.unshift(`${one.name}: ${say("figures_rim_found", { part: figure(100 * one.rim_found, 0) })}`);

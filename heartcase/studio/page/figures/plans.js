@@ -2,7 +2,7 @@
 
 import { element } from "../panel/structures.js";
 import { figure, language, say } from "../shared/words.js";
-import { KINDS, rows, vesselRows } from "./live_figures.js";
+import { KINDS, rows, trusted, vesselRows } from "./live_figures.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
 
@@ -128,7 +128,7 @@ export class Plans {
     const parts = [];
     for (const { name: defect, figures, ranked } of message.defects) {
       const names = message.names.filter((/** @type {string} */ name) => name in figures);
-      const all = names.map((/** @type {string} */ name) => figures[name]);
+      const all = names.map((/** @type {string} */ name) => trusted(figures[name], message.about[name]?.inverted_cell_count ?? 0));
       const lines = [...(defect === "" ? [] : rows(all, KINDS.OF_DEFECT)), ...rows(all, KINDS.OF_INCISION), ...vesselRows(all)];
       const placed = new Map(ranked.map((/** @type {any} */ one) => [one.name, one]));
       if (names.length > 1 && placed.size > 0) {
