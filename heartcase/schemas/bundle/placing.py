@@ -41,7 +41,11 @@ def refuse_inside_case(path: Path | str, *, place: str, is_case: bool = False) -
 
 def _places(path: Path) -> tuple[Path, ...]:
     """Where a path leads to, and where it stands itself: a link is replaced by what is written over it."""
-    return Path(os.path.realpath(path)), Path(os.path.realpath(path.parent)) / path.name
+    try:
+        return Path(os.path.realpath(path)), Path(os.path.realpath(path.parent)) / path.name
+    except ValueError:
+        # what no path may hold lies nowhere: whoever writes there says so
+        return ()
 
 
 def _lies_in_case(path: Path, *, is_case: bool) -> bool:

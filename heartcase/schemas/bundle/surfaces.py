@@ -12,7 +12,7 @@ from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.bundle.manifest import stated
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind, plain_kinds
 from heartcase.schemas.bundle.values import Arrays, Parts
-from heartcase.schemas.errors import Problem
+from heartcase.schemas.errors import BundleError, Problem
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
@@ -164,7 +164,10 @@ def _boundary_nodes(grid: Arrays) -> Int64 | None:
     """Numbers of the nodes that fewer than eight cells share, ascending; None where the grid is not sound."""
     if "cells" not in grid or "nodes" not in grid:
         return None
-    nodes, corners = cell_nodes(grid["cells"])
+    try:
+        nodes, corners = cell_nodes(grid["cells"])
+    except BundleError:
+        return None
     if not np.array_equal(nodes, grid["nodes"]):
         return None
     return np.flatnonzero(np.bincount(corners.ravel(), minlength=len(nodes)) < 8)

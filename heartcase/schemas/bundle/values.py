@@ -13,7 +13,7 @@ from heartcase.schemas.bundle.coordinates import Coordinates
 from heartcase.schemas.bundle.format import CaseManifest, FileRole
 from heartcase.schemas.bundle.lattice import cell_nodes, lattice_keys, step_sizes
 from heartcase.schemas.bundle.manifest import stated
-from heartcase.schemas.errors import Problem
+from heartcase.schemas.errors import BundleError, Problem
 from heartcase.schemas.geometry import SPACING_LIMITS_MM, Geometry
 
 __all__ = ["Arrays", "Parts", "figure_problems", "grid_problems"]
@@ -89,7 +89,12 @@ def _lattice_problems(manifest: CaseManifest, grid: Arrays) -> Iterable[Problem]
         return
     if (np.diff(lattice_keys(cells)) <= 0).any():
         yield Problem("grid.cells", "must ascend by k, j, i without repeats")
-    if "nodes" in grid and not np.array_equal(cell_nodes(cells)[0], grid["nodes"]):
+    try:
+        nodes = cell_nodes(cells)[0]
+    except BundleError as error:
+        yield Problem("grid.cells", error.problems[0].message)
+        return
+    if "nodes" in grid and not np.array_equal(nodes, grid["nodes"]):
         yield Problem("grid.nodes", "are not the corners of the cells, in order")
     if len(cells) and ((cells < 0).any() or (size is not None and (cells >= np.array(size)).any())):
         yield Problem("grid.cells", "lie outside grid_geometry.size")

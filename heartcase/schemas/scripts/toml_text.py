@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -27,7 +28,7 @@ def text_of(path: Path | str, place: str) -> str:
     ScriptError
         At ``place``: there is no such file, it is a folder, or it is no UTF-8 text.
     """
-    if Path(path).is_dir():
+    if os.path.isdir(path):
         raise ScriptError("this is a folder: give the file", place=place)
     try:
         return Path(path).read_text(encoding="utf-8")
