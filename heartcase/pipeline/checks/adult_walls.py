@@ -15,10 +15,10 @@ from heartcase.schemas.labels import default_label_table
 __all__ = ["adult_wall_warnings"]
 
 ADULT_ROOT_M = 1.75**0.5
-"""Square root of an adult's body surface area, with which lengths of a heart go: see the source at ``_VALVES_MM`` of
-:mod:`heartcase.pipeline.checks.openings`."""
+"""Square root of an adult's body surface area in m2, a round number, enough for SMALL. That lengths of a heart go with
+it is from the source at ``_VALVES_MM`` of :mod:`heartcase.pipeline.checks.openings`."""
 SMALL = 0.7
-"""Length of a heart over an adult's up to which an adult's walls are told of: some seven years of age."""
+"""Length of a heart over an adult's up to which an adult's walls are told of: some 0.86 m2 of body surface."""
 
 
 def adult_wall_warnings(labels: Segmentation, varying: Collection[str] = ()) -> tuple[CaseWarning, ...]:

@@ -90,12 +90,12 @@ def _lattice_problems(manifest: CaseManifest, grid: Arrays) -> Iterable[Problem]
     if (np.diff(lattice_keys(cells)) <= 0).any():
         yield Problem("grid.cells", "must ascend by k, j, i without repeats")
     try:
-        nodes = cell_nodes(cells)[0]
+        are_corners = "nodes" not in grid or np.array_equal(cell_nodes(cells)[0], grid["nodes"])
     except BundleError as error:
         yield Problem("grid.cells", error.problems[0].message)
-        return
-    if "nodes" in grid and not np.array_equal(nodes, grid["nodes"]):
-        yield Problem("grid.nodes", "are not the corners of the cells, in order")
+    else:
+        if not are_corners:
+            yield Problem("grid.nodes", "are not the corners of the cells, in order")
     if len(cells) and ((cells < 0).any() or (size is not None and (cells >= np.array(size)).any())):
         yield Problem("grid.cells", "lie outside grid_geometry.size")
     geometry, scan = stated(manifest, "grid_geometry"), stated(manifest, "scan_geometry")

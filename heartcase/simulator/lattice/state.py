@@ -53,18 +53,18 @@ class State:
         found = []
         for own, others in zip(self._all_digits, before._all_digits, strict=True):
             rows = own.copy()
-            rows[chosen] = np.add.reduceat(others[nodes_before] * shares[:, None], first)
+            rows[chosen] = np.add.reduceat(others[nodes_before].astype(np.float64) * shares[:, None], first)
             found.append(rows)
         return self._rounded(*found)
 
     @property
-    def _all_digits(self) -> tuple[Float64, Float64]:
+    def _all_digits(self) -> tuple[Float, Float]:
         """Displacement and velocity, with all digits that are known."""
-        return self.displacement.astype(np.float64), self.velocity.astype(np.float64)
+        return self.displacement, self.velocity
 
-    def _rounded(self, displacement: Float64, velocity: Float64) -> State:
+    def _rounded(self, displacement: Float, velocity: Float) -> State:
         """A state of this kind at the same time."""
-        return State(displacement.astype(np.float32), velocity.astype(np.float32), self.step_count)
+        return State(displacement, velocity, self.step_count)
 
 
 @dataclass(frozen=True)
@@ -92,11 +92,11 @@ class PreciseState(State):
         return PreciseState.of(self.precise_displacement[nodes], self.precise_velocity[nodes], self.step_count)
 
     @property
-    def _all_digits(self) -> tuple[Float64, Float64]:
+    def _all_digits(self) -> tuple[Float, Float]:
         return self.precise_displacement, self.precise_velocity
 
-    def _rounded(self, displacement: Float64, velocity: Float64) -> State:
-        return PreciseState.of(displacement, velocity, self.step_count)
+    def _rounded(self, displacement: Float, velocity: Float) -> State:
+        return PreciseState.of(displacement.astype(np.float64), velocity.astype(np.float64), self.step_count)
 
 
 @kernel
