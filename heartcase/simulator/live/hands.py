@@ -120,6 +120,13 @@ class Hands:
         self.live.do(command)
         return True
 
+    def let_go_of_all(self) -> bool:
+        """Let every instrument go, or take it away, at one moment: one undo brings all back; whether there was any."""
+        newest = self.live.newest
+        commands = [letting_go(newest, name) for name in newest.frame.instruments]
+        self.live.do(*(one for one in commands if one is not None))
+        return bool(commands)
+
     def tie(self) -> None:
         """Tie all stitches that are drawn; a row as one, whose name stands for all of it."""
         stitches = self.live.newest.frame.stitches.values()

@@ -28,6 +28,8 @@ from heartcase.schemas.recording.commands import (
     MoveProbe,
     Navigation,
     OpenGrab,
+    Redo,
+    Undo,
     WithdrawProbe,
 )
 from heartcase.simulator.cutting.cuts import Cuts
@@ -352,7 +354,13 @@ class Live:
         elif isinstance(one, _NAVIGATION):
             self._goals.drop()
             self._set_mode("paused")
-            self.session.do(one)
+            # who looks on takes what came at one moment for one act
+            if isinstance(one, Undo):
+                self.session.undo(together=True)
+            elif isinstance(one, Redo):
+                self.session.redo(together=True)
+            else:
+                self.session.do(one)
         elif isinstance(one, Cut):
             # It is made when it is worked out: no frame waits for it.
             self._set_mode("running")

@@ -304,8 +304,14 @@ class OperatingSession:
             coming_cuts=len(self._coming),
         )
 
-    def undo(self) -> None:
+    def undo(self, *, together: bool = False) -> None:
         """Take back the last act and all that came after it: grabs, probes, springs; leading and moving are no acts.
+
+        Parameters
+        ----------
+        together
+            Whether acts that were given at one moment, one right after the other, are taken back as one, such as hands
+            that hold an incision open.
 
         Raises
         ------
@@ -316,10 +322,18 @@ class OperatingSession:
         acts = self.entries.places_of(_ACTS, end=self.position)
         if not acts:
             raise SimulationError("there is nothing to take back", place="undo")
-        self._go_to(acts[-1])
+        first = acts.pop()
+        while together and acts and acts[-1] == first - 1:
+            first = acts.pop()
+        self._go_to(first)
 
-    def redo(self) -> None:
+    def redo(self, *, together: bool = False) -> None:
         """Do again what was taken back last, up to the next act: the same, to the byte.
+
+        Parameters
+        ----------
+        together
+            As of :meth:`undo`.
 
         Raises
         ------
@@ -329,7 +343,10 @@ class OperatingSession:
         self.make_cuts(wait=True)
         if self.position == len(self.entries):
             raise SimulationError("there is nothing to do again", place="redo")
-        later = self.entries.places_of(_ACTS, self.position + 1)
+        done = self.position + 1
+        later = self.entries.places_of(_ACTS, done)
+        while together and later and later[0] == done:
+            done = later.pop(0) + 1
         self._go_to(later[0] if later else len(self.entries))
 
     def rewind(self, seconds: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,13 +28,23 @@ if TYPE_CHECKING:
 
 __all__ = ["fitting_page_of", "page_of", "site_of"]
 
+_TOUR_S = 10.0
+"""Simulated time of a tour, about, s: how much of all that is played it counts for."""
+
 
 def page_of(
-    case: Path, recordings: Sequence[Path], *, level: int, frames_per_second: float, tours: bool = True
+    case: Path,
+    recordings: Sequence[Path],
+    *,
+    level: int,
+    frames_per_second: float,
+    tours: bool = True,
+    told: Callable[[float], None] = lambda _: None,
 ) -> tuple[bytes, list[str]]:
     """The file of a case with its recordings and its guided tours; what is wrong with tours, of each that is so.
 
-    One that cannot be read is left out, and one that could not be done to its end ends before.
+    One that cannot be read is left out, and one that could not be done to its end ends before. ``told`` hears which
+    part of all that is to be played is done, 0 to 1.
 
     Raises
     ------
@@ -49,8 +60,15 @@ def page_of(
 
     opened = _opened(recordings, frames_per_second)
     loaded = load_case(case, needs=("surface", "structures", "cell_labels", "tissue"), level=level)
-    played = [_recorded(name, one, loaded, frames_per_second) for name, one in opened]
     toured, problems = tours_of(loaded, case) if tours else ([], ())
+    acted = [one for one in toured if one.has_acts]
+    of_each = _parts_told([*(one.seconds for _, one in opened), *(_TOUR_S for _ in acted)], told)
+    played = [
+        _recorded(name, one, loaded, frames_per_second, heard)
+        for (name, one), heard in zip(opened, of_each, strict=False)
+    ]
+    for one, heard in zip(acted, of_each[len(opened) :], strict=True):
+        one.told = heard
     shown = shown_of(open_bundle(case), level)
     assert loaded.surface is not None
     normal_map = load_normal_map(case, loaded.surface, level)
@@ -58,7 +76,9 @@ def page_of(
     return made, [str(problem) for problem in (*problems, *(each for one in toured for each in one.problems))]
 
 
-def fitting_page_of(case: Path, recordings: Sequence[Path]) -> tuple[bytes, list[str]]:
+def fitting_page_of(
+    case: Path, recordings: Sequence[Path], told: Callable[[float], None] = lambda _: None
+) -> tuple[bytes, list[str]]:
     """The same at the full surface, with as many pictures a second as the longest recording has room for.
 
     Raises
@@ -70,7 +90,7 @@ def fitting_page_of(case: Path, recordings: Sequence[Path]) -> tuple[bytes, list
 
     longest = max((open_recording(one).seconds for one in recordings), default=0.0)
     rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / max(longest, 1.0))
-    return page_of(case, recordings, level=0, frames_per_second=rate)
+    return page_of(case, recordings, level=0, frames_per_second=rate, told=told)
 
 
 def site_of(
@@ -119,20 +139,40 @@ def _opened(recordings: Sequence[Path], frames_per_second: float) -> list[tuple[
     return found
 
 
-def _recorded(name: str, recording: Recording, case: Case, frames_per_second: float) -> Recorded:
+def _parts_told(seconds: Sequence[float], told: Callable[[float], None]) -> list[Callable[[float], None]]:
+    """For each of some things that last so long, who hears which part of it is done; ``told`` hears it of all."""
+    done = [0.0] * len(seconds)
+    whole = max(sum(seconds), 1e-9)
+
+    def heard(part: float, number: int) -> None:
+        done[number] = part * seconds[number]
+        told(sum(done) / whole)
+
+    return [partial(heard, number=number) for number in range(len(seconds))]
+
+
+def _recorded(
+    name: str,
+    recording: Recording,
+    case: Case,
+    frames_per_second: float,
+    told: Callable[[float], None] = lambda _: None,
+) -> Recorded:
     from heartcase.studio.offline.web_page import Recorded
 
     tissue = case.tissue if recording.header.tissue_sha256 else TissueSamples.everywhere()
     session = load_session(recording, case.model, surface=case.surface, tissue=tissue)
-    return Recorded(name, _moments(session, frames_per_second))
+    return Recorded(name, _moments(session, frames_per_second, told))
 
 
-def _moments(session: OperatingSession, frames_per_second: float) -> Iterator[LiveFrame]:
+def _moments(session: OperatingSession, frames_per_second: float, told: Callable[[float], None]) -> Iterator[LiveFrame]:
     """Moments of a recording, the first one included; at the end it is checked against what was recorded."""
+    first, last = session.start_step, session.end_step
     yield moment_of(session)
     for step in frame_steps(session, frames_per_second):
         for _ in session.play(step):
             pass
+        told((step - first) / max(last - first, 1))
         yield moment_of(session)
     for _ in session.play():
         pass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,8 @@ class Toured:
         The case, loaded with surface, structures and tissue.
     does_acts
         Whether what its steps do is done; else the page shows what they show, and says so.
+    told
+        Is told how far it is.
     """
 
     tour: ShownTour
@@ -49,10 +51,17 @@ class Toured:
     """For each step, how many of the moments are over at its end; shorter where a step could not be done."""
     problems: list[Problem] = field(default_factory=list)
     """Why the rest could not be done."""
+    told: Callable[[float], None] = lambda _: None
+    """Told after each step which part of them is done, 0 to 1."""
+
+    @property
+    def has_acts(self) -> bool:
+        """Whether any step does something that is done."""
+        return self.does_acts and any(step.acts for step in self.tour.tour.steps)
 
     def moments(self) -> Iterator[LiveFrame]:
         """All moments, from the start on; ``ends`` and ``problems`` are known when they have been taken."""
-        if not (self.does_acts and any(step.acts for step in self.tour.tour.steps)):
+        if not self.has_acts:
             return
         case = self.case
         session, places = OperatingSession(simulation_of_case(case)), CasePlaces(case)
@@ -75,6 +84,7 @@ class Toured:
             yield from taken
             count += len(taken)
             self.ends.append(count)
+            self.told((number + 1) / len(self.tour.tour.steps))
 
     def as_data(self) -> dict[str, Any]:
         """What the page is told of it, beside its moments."""

@@ -86,6 +86,8 @@ async def act(
         case Wheel():
             return {"used": hands.wheel(request.notches)}
         case LetGo():
+            if request.everything:
+                return {"used": hands.let_go_of_all()}
             look = request.pointer
             pointer = None if look is None else await run(lambda: viewer.pointer(look))
             return {"used": hands.let_go(pointer)}

@@ -129,10 +129,12 @@ class Wheel(_Asked):
 
 
 class LetGo(_Asked):
-    """Let go, or take out, what is pointed at; else what holds since last."""
+    """Let go, or take out, what is pointed at; else what holds since last; or let all instruments go."""
 
     do: Literal["let_go"]
     """Which request."""
+    everything: bool = False
+    """Whether every instrument lets go, wherever it is."""
     pointer: Look | None = None
     """Where the pointer points to, where it is over the heart."""
 

@@ -19,9 +19,12 @@ from heartcase.studio.operating.ending import problems_at
 
 __all__ = ["PageOf", "SavedPage"]
 
-PageOf = Callable[[Path, Sequence[Path]], tuple[bytes, list[str]]]
-"""Makes the file of a case and its recordings, and says what is wrong with it; a process beside must find it."""
+PageOf = Callable[[Path, Sequence[Path], Callable[[float], None]], tuple[bytes, list[str]]]
+"""Makes the file of a case and its recordings, and says what is wrong with it; a process beside must find it. It tells
+which part is done, 0 to 1."""
 
+_LEAST = 0.01
+"""By how much more must be done before it is told again."""
 _ENDED = "what saves the page has ended: save it again"
 
 
@@ -65,7 +68,7 @@ class SavedPage:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What pages are told: nothing where no page was saved; else its ``state``, name, size and problems."""
+        """What pages are told: nothing where no page was saved; else its state, what is done, name, size, problems."""
         return dict(self._facts)
 
     def _free_name(self) -> Path:
@@ -80,7 +83,10 @@ class SavedPage:
     def _wait(self, line: Connection, path: Path) -> None:
         content, problems = b"", [asdict(Problem("page", _ENDED))]
         with contextlib.suppress(EOFError, OSError):
-            content, problems = line.recv()
+            while isinstance(said := line.recv(), float):
+                if not self._beside.is_left:
+                    self._tell(state="working", fraction=said)
+            content, problems = said
         if self._beside.is_left:
             return
         if content:
@@ -99,12 +105,25 @@ class SavedPage:
         self._heard()
 
 
+def told_seldom(tell: Callable[[float], None]) -> Callable[[float], None]:
+    """What passes a part that is done on, where it is a hundredth more than was told before."""
+    last = 0.0
+
+    def heard(part: float) -> None:
+        nonlocal last
+        if part >= last + _LEAST:
+            last = part
+            tell(float(part))
+
+    return heard
+
+
 def _make(line: Connection, page_of: PageOf, case: Path, recordings: list[Path]) -> None:
     """The process: answer with the file's content, nothing where it cannot be made, and what is wrong."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         try:
-            content, warnings = page_of(case, recordings)
+            content, warnings = page_of(case, recordings, told_seldom(line.send))
             line.send((content, [{"place": "", "message": warning} for warning in warnings]))
         except Exception as error:
             line.send((b"", problems_at(case, told(error))))

@@ -10,13 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.errors import HeartcaseError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.idle import FREE_AFTER_S, Idle
 from heartcase.studio.messages import text_message
 from heartcase.studio.operating.acts import OwnAct, act, met
+from heartcase.studio.operating.approved import WatchedApproval
 from heartcase.studio.operating.ending import ended, problems_at
 from heartcase.studio.operating.plans import ComparedPlans
 from heartcase.studio.operating.requests import (
@@ -110,6 +110,7 @@ class Theatre:
         self._plans = ComparedPlans(case, out, lambda: self._hear(self._plans.message))
         self.saved = SavedPage(case, out, page_of, lambda: self._hear(self._saved_message))
         self._freed: str | None = None
+        self._approval = WatchedApproval(case)
         self._is_approved = False
         self._device_page: Page | None = None
 
@@ -156,7 +157,7 @@ class Theatre:
     async def _newest_stage(self) -> tuple[Stage, bool]:
         """The stage of the case as it lies there now, opened where there is none; whether it took another's place."""
         before = self._stage
-        self._is_approved = await self._run(lambda: approval_state(self._case).state == "approved")
+        self._is_approved = await self._run(self._approval.is_approved)
         if before is not None and await self._run(lambda: before.is_of(self._case)):
             return before, False
         stage = self._stage = await self._run(self._open())
@@ -390,7 +391,7 @@ class Theatre:
             task.add_done_callback(self._letting.discard)
 
     async def _watch(self) -> None:
-        """Tell pages once that the case they look at is no longer the one that lies there."""
+        """Tell pages once that the case they look at is no longer the one that lies there, and when it is approved."""
         told = stage = None
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
@@ -399,6 +400,10 @@ class Theatre:
                 told = None
             if stage is None or stage is told or not self._viewers:
                 continue
+            is_approved = await self._run(self._approval.is_approved)
+            if is_approved != self._is_approved:
+                self._is_approved = is_approved
+                self._tell(text_message("approval", is_approved=is_approved))
             if not await self._run(partial(stage.is_of, self._case)) and self._stage is stage:
                 told = stage
                 self._tell(text_message("message", text=_OLDER))

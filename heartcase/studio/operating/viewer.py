@@ -221,6 +221,7 @@ def described(live: LiveFrame) -> dict[str, Any]:
         "cutting": frame.coming_cuts,
         "recording": live.recording,
         "act_count": live.act_count,
+        "cut_count": len(live.cuts),
         "instruments": [
             {
                 "name": name,

@@ -141,7 +141,10 @@ function run() {
       shaping.tell(/** @type {any} */ (message));
       preview.refresh();
     }
-    else if (message.kind === "states") structures.tellStates(message.states ?? {});
+    else if (message.kind === "states") {
+      structures.tellStates(message.states ?? {});
+      guide.tellStates(message.states ?? {});
+    }
     else if (message.kind === "done") {
       steps.tell(message.undo_count, message.redo_count);
       studio.undoKind.value = message.undo_kind;

@@ -126,6 +126,38 @@ def test_undo_takes_back_what_was_done_and_not_what_was_led():
     assert session.end_step == 20
 
 
+def test_acts_of_one_moment_are_taken_back_and_done_again_as_one_where_that_is_asked_for():
+    session = OperatingSession(block_simulation())
+    session.do(CloseGrab(name="first", center_mm=(2, 4, 8), radius_mm=1))
+    session.advance(10)
+    alone = fingerprint(session.simulation)
+    for name, x in (("left", 4), ("middle", 6), ("right", 8)):
+        session.do(CloseGrab(name=name, center_mm=(x, 4, 8), radius_mm=1))
+    session.do(LeadGrab(name="left", offset_mm=(0, 0, 1)))
+    session.advance(10)
+    session.do(OpenGrab(name="middle"))
+    open_one = fingerprint(session.simulation)
+    # the last act was given at another moment
+    session.undo(together=True)
+    assert len(session.simulation.grabs) == 4
+    session.undo(together=True)
+    assert fingerprint(session.simulation) == alone
+    session.redo(together=True)
+    assert len(session.simulation.grabs) == 4
+    session.redo(together=True)
+    assert fingerprint(session.simulation) == open_one
+    # one by one it is what it was
+    session.undo()
+    session.undo()
+    assert [grab.name for grab in session.simulation.grabs] == ["first", "left", "middle"]
+    session.redo()
+    session.undo(together=True)
+    session.undo(together=True)
+    assert session.position == 0
+    session.redo(together=True)
+    assert fingerprint(session.simulation) == alone
+
+
 def test_rewound_and_taken_over():
     session = OperatingSession(block_simulation(sleep_mm=0.05), snapshot_every_s=0.005)
     operate(session)

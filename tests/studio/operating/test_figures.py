@@ -94,6 +94,17 @@ def test_a_second_incision_has_hands_of_its_own_and_one_that_is_held_stays(hollo
 
         wanted = {led.name: list(led.offset_mm) for _, led, _ in stage.incisions.hands(stage.live.newest.cuts[0], 0)}
         until(lambda: offsets() == wanted)
+        # all hands are one act for undo, and let go at once
+        page.done("undo")
+        page.until(lambda frame: not frame["instruments"] and frame["act_count"] == 1)
+        page.done("redo")
+        page.until(lambda frame: len(frame["instruments"]) == 4)
+        assert page.done("let_go", everything=True)["used"]
+        page.until(lambda frame: not frame["instruments"])
+        page.done("undo")
+        page.until(lambda frame: len(frame["instruments"]) == 4)
+        page.done("pause", paused=False)
+        assert page.frames[-1]["cut_count"] == 1
         # held already: it is refused, and nothing is led
         assert page.ask("hold_open", incision=0)["kind"] == "refused"
         cut = stage.incisions.cut("lid")

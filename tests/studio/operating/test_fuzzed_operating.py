@@ -102,7 +102,11 @@ def anything(random):
         case "resize":
             return {"do": "resize", "steps": int(random.integers(-4, 5))}
         case "let_go":
-            return {"do": "let_go", "pointer": pointer if random.random() < 0.5 else None}
+            return {
+                "do": "let_go",
+                "pointer": pointer if random.random() < 0.5 else None,
+                "everything": random.random() < 0.2,
+            }
         case "along":
             return {"do": str(random.choice(["undo", "redo", "back", "put_down", "tie"]))}
         case "run":

@@ -30,6 +30,10 @@ def test_a_case_is_saved_as_the_command_exports_it(recorded):  # noqa: F811
         page.done("save_page", names=["wide.recording"])
         one = told(page)
         assert (one["state"], one["problems"]) == ("saved", [])
+        parts = [each["fraction"] for each in page.told if each.get("fraction") is not None]
+        assert parts == sorted(parts)
+        assert len(parts) > 1
+        assert 0.0 < parts[0] < parts[-1] <= 1.0
         # a file that was there stays
         assert one["name"] == "hollow-2.html"
         assert (path.parent / "hollow.html").read_text() == "mine"

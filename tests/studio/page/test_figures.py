@@ -34,7 +34,17 @@ def test_incisions_are_cut_held_compared_and_played_side_by_side_and_a_device_pu
             tab.locator("#planned-cuts button").click()
             hands.until(lambda header: header["act_count"] == 1)
             if number == 1:
+                # in the panel and over the heart; all hands are one act, and let go at once
+                tab.locator("#hold-last").click()
+                hands.until(lambda header: len(header["instruments"]) == 4)
+                tab.locator("#undo").click()
+                hands.until(lambda header: header["act_count"] == 1)
                 tab.locator("#hold-open").click()
+                hands.until(lambda header: len(header["instruments"]) == 4)
+                tab.locator("#let-go-all").click()
+                hands.until(lambda header: not header["instruments"])
+                assert tab.locator("#let-go-all").is_hidden()
+                tab.locator("#hold-last").click()
                 hands.until(lambda header: len(header["instruments"]) == 4)
                 until(lambda: float(cell(page, "Gap between the lips").split()[0]) > 5.0)
                 assert float(cell(page, "Rim seen").split()[0]) > 50.0

@@ -373,6 +373,10 @@ def test_that_nobody_approved_the_case_stands_on_the_page_until_somebody_does(ch
     with browsing(chromium, operated, locale="de-DE") as page:
         assert page.text("#draft-case").startswith("Entwurf: Niemand hat diesen Fall freigegeben")
         approve_case(operated.recipe, role="paediatric cardiologist")
+        page.tab.locator("#draft-case").wait_for(state="hidden")
+        approve_case(operated.recipe, role="paediatric cardiologist", withdraw=True)
+        page.tab.locator("#draft-case").wait_for()
+        approve_case(operated.recipe, role="paediatric cardiologist")
         page.open()
         assert page.tab.locator("#draft-case").is_hidden()
 

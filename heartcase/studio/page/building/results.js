@@ -10,8 +10,10 @@ import { warningWords } from "./warning_words.js";
 /** @typedef {import("./build_tab.js").Opening} Opening */
 
 const GRADES = ["anatomy", "look", "note"];
+/** Warning of walls that were grown and that nobody saw. */
+const GROWN = "grown-septum";
 /** Openings that no normal heart has, or that nobody stated. */
-const ODD = ["unexpected", "other ventricle", "unknown"];
+const ODD = ["unexpected", "other ventricle", "unknown", "walled"];
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -87,6 +89,8 @@ export class Results {
     const parts = [];
     for (const grade of GRADES) {
       const alike = warnings.filter((one) => one.grade === grade);
+      // whether a hole was walled over is asked first
+      alike.sort((one, other) => Number(other.code === GROWN) - Number(one.code === GROWN));
       if (alike.length === 0) continue;
       const word = `build_grade_${grade}`;
       const list = element("ol", `warnings ${grade}`);
@@ -101,7 +105,7 @@ export class Results {
   /** @param {Warning} warning */
   #warning(warning) {
     const { text, grade, places_mm: places, code } = warning;
-    const grown = code === "grown-septum" ? (this.#case?.grown ?? []) : [];
+    const grown = code === GROWN ? (this.#case?.grown ?? []) : [];
     if (grown.length > 0) return this.#grown(warning, grown);
     const row = element("li");
     row.append(element("span", "says", warningWords(warning)));
@@ -200,9 +204,10 @@ export class Results {
   }
 
   /** @param {Case} made */
-  #drawOpenings({ openings }) {
-    find("openings").hidden = openings.length === 0;
-    find("opening-rows").replaceChildren(...openings.map((one) => {
+  #drawOpenings({ openings, grown }) {
+    const walled = grown.filter(({ state }) => state === "grown").map((one) => ({ ...one, verdict: "walled" }));
+    find("openings").hidden = openings.length + walled.length === 0;
+    find("opening-rows").replaceChildren(...[...openings, ...walled].map((one) => {
       const row = element("tr", ODD.includes(one.verdict) ? "odd" : "");
       const button = element("button", "fly", one.between.map(short).join(" – "));
       button.type = "button";

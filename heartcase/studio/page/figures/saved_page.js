@@ -26,8 +26,12 @@ export class SavedPage {
   }
 
   #fill() {
-    const { state, name, byte_count: byteCount, problems } = /** @type {Record<string, any>} */ (this.#message ?? {});
+    const { state, fraction, name, byte_count: byteCount, problems } = /** @type {Record<string, any>} */ (this.#message ?? {});
     /** @type {HTMLButtonElement} */ (find("save-page")).disabled = state === "working";
+    const bar = /** @type {HTMLProgressElement} */ (find("save-page-bar"));
+    bar.hidden = state !== "working";
+    if (fraction === undefined) bar.removeAttribute("value");
+    else bar.value = fraction;
     const link = find("saved-page");
     link.hidden = state !== "saved";
     link.textContent = state === "saved" ? say("save_page_take", { name }) : "";

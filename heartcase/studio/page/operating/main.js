@@ -32,6 +32,8 @@ import { showCursor, ToolBar } from "./tool_bar.js";
 /** @typedef {{key: string, size_words: string, size: number, sizes: number[]}} Tool */
 
 const NOTICE_MS = 8000;
+/** Key of the instrument that draws a patch's outline. */
+const PATCH = "e";
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -159,6 +161,11 @@ function run() {
 
   function forget() {
     for (const one of pointers) one.forget();
+    forgetLine();
+  }
+
+  function forgetLine() {
+    outline = [];
     picture.tools.showLine([]);
     picture.redraw();
   }
@@ -171,7 +178,7 @@ function run() {
 
   /** @param {string} key */
   function take(key) {
-    for (const one of pointers) one.forget();
+    forget();
     toolBar.choose(key);
     ask({ do: "take", tool: key });
     tellSize();
@@ -194,10 +201,18 @@ function run() {
       sizes.set(answer.tool, answer.size);
       tellSize();
     }
-    picture.tools.showLine(answer.line_mm);
-    picture.redraw();
+    showLine(answer);
     if (answer.recordings) plans.showRecordings(answer.recordings);
     if (answer.used === false && answer.id === lettingGo) notice("", [{ place: "", message: say("operate_nothing_held") }]);
+  }
+
+  /** The outline of a patch that was asked for: it stays in sight until the patch is there, also where it is refused. */
+  let outline = /** @type {number[][]} */ ([]);
+  /** @param {Message} answer */
+  function showLine({ line_mm: line, tool }) {
+    if (line.length > 0) outline = tool === PATCH ? line : [];
+    picture.tools.showLine(line.length > 0 ? line : outline);
+    picture.redraw();
   }
 
   /** Stretch that the first and the last colour stand for. @type {[number, number]} */
@@ -219,6 +234,7 @@ function run() {
         answered(answer);
       }, fault);
     },
+    letGoAll: () => (forget(), ask({ do: "let_go", everything: true })),
     pause: () => ask(beside.pauseOrGoOn()),
     record: () => ask({ do: open.header?.recording ? "stop_recording" : "record" }),
     /** @param {number} steps */
@@ -238,7 +254,8 @@ function run() {
   let box = [[0, 0, 0], [1, 1, 1]];
   /** @type {[string, () => void][]} */
   const clicks = [
-    ["undo", actions.undo], ["redo", actions.redo], ["let-go", () => actions.letGo(false)], ["tie", actions.tie],
+    ["undo", actions.undo], ["redo", actions.redo], ["let-go", () => actions.letGo(false)], ["let-go-all", actions.letGoAll],
+    ["hold-last", () => ask({ do: "hold_open", incision: Math.max((open.header?.cut_count ?? 0) - 1, 0) })], ["tie", actions.tie],
     ["back", actions.back], ["pause", actions.pause], ["play", actions.play], ["record", actions.record],
     ["smaller", () => actions.resize(-1)], ["larger", () => actions.resize(1)], ["reset-view", actions.reset],
     ["begin", () => (forget(), ask({ do: "begin" }))], ["tab-recordings", () => ask({ do: "recordings" })],
@@ -307,6 +324,7 @@ function run() {
     else if (message.kind === "figures") figures.hear(message);
     else if (message.kind === "plans") plans.hear(message);
     else if (message.kind === "saved_page") saving.hear(message);
+    else if (message.kind === "approval") find("draft-case").hidden = message.is_approved;
     else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
@@ -383,6 +401,7 @@ function run() {
     else if (areToolsNew) picture.redraw();
     const before = open.header;
     open.header = header;
+    if (header.patches.length !== before?.patches.length) forgetLine();
     panel.showForces(header);
     device.show(header);
     beside.keepTogether();
@@ -405,6 +424,8 @@ function run() {
     /** @type {HTMLButtonElement} */ (find("undo")).disabled = header.act_count === 0;
     /** @type {HTMLButtonElement} */ (find("redo")).disabled = header.end_s <= header.time_s;
     /** @type {HTMLButtonElement} */ (find("let-go")).disabled = header.instruments.length === 0;
+    find("let-go-all").hidden = header.instruments.length < 2;
+    find("hold-last").hidden = header.cut_count === 0;
     find("tie").hidden = !header.stitches.some((/** @type {any} */ one) => !one.tied);
     find("record").setAttribute("aria-pressed", String(header.recording !== null));
     const cutting = header.cutting > 0 ? say("operate_cutting") : "";

@@ -27,6 +27,8 @@ export class Guide {
   #at = -1;
   /** Places that were said to be right since the page was opened. */
   #rightCount = 0;
+  /** How far each structure is, as it was worked out last. @type {Record<string, string>} */
+  #states = {};
   /** @type {readonly Item[]} */
   #items = [];
   /** @type {readonly string[]} */
@@ -99,10 +101,24 @@ export class Guide {
     if (hadFocus) (right.hidden ? document.getElementById("next-place") : right)?.focus();
   }
 
+  /** How far each structure is. @param {Record<string, string>} states */
+  tellStates(states) {
+    this.#states = states;
+    this.#showPlace();
+  }
+
+  /** Whether no structure has places that are worth a look, together: what is left can be left. */
+  get #isEnough() {
+    const states = this.#marked.map((name) => this.#states[name]);
+    return states.length > 0 && states.every((state) => state === "confident");
+  }
+
   /** @param {readonly Item[]} items @param {readonly string[]} marked names of structures that are marked */
   tell(items, marked) {
     this.#items = items;
     this.#marked = marked;
+    // they are worked out anew
+    this.#states = {};
     this.#showItems();
   }
 
@@ -120,6 +136,7 @@ export class Guide {
     }
     const at = say("place_of", { at: this.#at + 1, count: this.#places.length });
     place.replaceChildren(
+      ...(this.#isEnough ? [element("strong", "enough", say("places_enough"))] : []),
       element("strong", "", this.#rightCount ? `${at} · ${say("places_right", { count: this.#rightCount })}` : at),
       element("span", "", say("place_says", {
         label: shown.label,
