@@ -34,12 +34,17 @@ $(VENV)/installed: $(LOCK) pyproject.toml | same-python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $(VENV)/prepare-installed $@
 
+# Byte code of what a case takes: otherwise the first build and the processes that compile its kernels each make it.
+BYTE_CODE = $(BIN)/python -m compileall -q -j 0 heartcase -x /page/ && $(BIN)/python -c \
+	'import click, edt, jinja2, numba, PIL.Image, pydantic, rich.progress, safetensors, scipy.ndimage, scipy.spatial, SimpleITK'
+
 # What building a case takes, without what only tests and benchmarks use.
 $(VENV)/prepare-installed: requirements-prepare.lock pyproject.toml | same-python
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "heartcase needs Python 3.11 or newer: make PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements-prepare.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(BYTE_CODE)
 	touch $@
 
 case: $(VENV)/prepare-installed
