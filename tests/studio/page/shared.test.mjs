@@ -5,7 +5,7 @@ import test from "node:test";
 import { deflateSync } from "node:zlib";
 import { unpack, waitMs } from "../../../heartcase/studio/page/shared/connection.js";
 import { Studio } from "../../../heartcase/studio/page/shared/studio.js";
-import { LANGUAGES, language, say } from "../../../heartcase/studio/page/shared/words.js";
+import { LANGUAGES, language, say, structureName } from "../../../heartcase/studio/page/shared/words.js";
 import { Measures } from "../../../heartcase/studio/page/tools/measures.js";
 import { HELP, keyOf } from "../../../heartcase/studio/page/tools/shortcuts.js";
 
@@ -114,4 +114,20 @@ test("rulers need two points, angles three; an unfinished one can be dropped", (
   measures.removeLast();
   measures.removeLast();
   assert.deepEqual(measures.all, []);
+});
+
+test("structures of the vocabulary, and walls grown around and between them, are called by the language's names; others stay", () => {
+  language.value = "de";
+  const german = {
+    "morphologically left ventricle": "linker Ventrikel",
+    "Aorta": "Aorta",
+    "pulmonary artery wall": "Wand: Pulmonalarterie",
+    "left atrium-right atrium septum (grown)": "Septum: linker Vorhof – rechter Vorhof (gewachsen)",
+    "left atrium graft": "left atrium graft",
+    "my wall": "my wall",
+    "a-b septum (grown)": "a-b septum (grown)",
+  };
+  for (const [name, said] of Object.entries(german)) assert.equal(structureName(name), said);
+  language.value = "en";
+  for (const name of Object.keys(german)) assert.equal(structureName(name), name);
 });

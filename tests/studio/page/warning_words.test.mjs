@@ -22,7 +22,7 @@ test("English is what the server says but for settings of a recipe's file, Germa
   assert.equal(warningWords(shut), "Vessel end 2 (aorta): other structures close the vessel.");
   assert.equal(warningWords({ text: 'Edits[3] "VSD": odd.', code: "", parts: {} }), 'Edit 3 "VSD": odd.');
   language.value = "de";
-  assert.match(warningWords(warning), /^Gefäßende 1: aorta endet in einem geschlossenen Sack.*\.$/);
+  assert.match(warningWords(warning), /^Gefäßende 1: Aorta endet in einem geschlossenen Sack.*\.$/);
   assert.equal(warningWords({ text: "Odd.", code: "", parts: {} }), "Odd.");
   const places = { text: "", code: "wall-gap", parts: { label: "aorta", where: "over 60 mm² in 2 patches, the largest near (-5.1, -0.7, -2.4) mm" } };
   assert.match(warningWords(places), /Lücke auf 60 mm² an 2 Stellen, die größte bei R 5,1 A 0,7 F 2,4 mm und/);
@@ -48,7 +48,7 @@ test("the faces of a scan have German names", () => {
   };
   for (const [face, german] of Object.entries(faces)) {
     const said = warningWords({ text: "", code: "heart-cut-off", parts: { face, listed: "veins of the left and right (3.5 cm²), left ventricle (40 mm²)" } });
-    assert.ok(said.startsWith(`${german} schneidet das Herz ab, ohne Gefäßende: Venen von left and right (3,5 cm²), left ventricle (40 mm²). Was`), said);
+    assert.ok(said.startsWith(`${german} schneidet das Herz ab, ohne Gefäßende: Venen von left and right (3,5 cm²), linker Ventrikel (40 mm²). Was`), said);
   }
 });
 
@@ -56,7 +56,7 @@ test("what a warning lists is German about its names", () => {
   language.value = "de";
   const grown = (listed) => warningWords({ text: "", code: "grown-septum", parts: { listed } });
   assert.ok(grown("left atrium and aorta over 30 mm² near (1.0, 2.0, 3.0) mm (1.5 mm thick); a and b over 2.5 mm² near (0.0, 0.0, 1.0) mm (2 mm thick)")
-    .includes(": left atrium und aorta auf 30 mm² bei L 1,0 P 2,0 H 3,0 mm (1,5 mm dick); a und b auf 2,5 mm² bei L 0,0 P 0,0 H 1,0 mm (2 mm dick). Ist"));
+    .includes(": linker Vorhof und Aorta auf 30 mm² bei L 1,0 P 2,0 H 3,0 mm (1,5 mm dick); a und b auf 2,5 mm² bei L 0,0 P 0,0 H 1,0 mm (2 mm dick). Ist"));
   // which "and" is between the names nobody knows
   assert.ok(grown("a and b and c over 2.5 mm² near (0.0, 0.0, 1.0) mm (2 mm thick)").includes(": a and b and c auf 2,5 mm² bei "));
   const stray = warningWords({ text: "", code: "stray-pieces", parts: { label: "aorta", pieces: "5", listed: "0.5 ml near (1, 2, 3) mm, 0.25 ml near (4, 5, 6) mm and 2 more" } });

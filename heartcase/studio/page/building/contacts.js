@@ -2,7 +2,7 @@
 
 import { element } from "../panel/structures.js";
 import { distance } from "../pictures/geometry.js";
-import { figure, say } from "../shared/words.js";
+import { figure, say, structureName } from "../shared/words.js";
 
 /** @typedef {import("../pictures/geometry.js").Vector} Vector */
 /** @typedef {import("../shaping/shaping.js").Entry} Entry */
@@ -192,7 +192,7 @@ const diameterOf = (area) => 2 * Math.sqrt(area / Math.PI);
 
 /** What every label of a chamber begins with says little beside its side. @param {readonly string[]} names */
 export function pairWords(names) {
-  return names.map((name) => name.replace(/^morphologically /, "")).join(" – ");
+  return names.map((name) => structureName(name).replace(/^morphologically /, "")).join(" – ");
 }
 
 /** @param {readonly string[]} one @param {readonly string[]} other */

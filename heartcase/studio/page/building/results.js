@@ -2,7 +2,7 @@
 
 import { element } from "../panel/structures.js";
 import { distance } from "../pictures/geometry.js";
-import { figure, isWord, language, say } from "../shared/words.js";
+import { figure, isWord, language, say, structureName } from "../shared/words.js";
 import { warningWords } from "./warning_words.js";
 
 /** @typedef {import("./build_tab.js").Case} Case */
@@ -233,7 +233,7 @@ export class Results {
 
 /** What every label of a chamber begins with says little in a table. @param {string} name */
 export function short(name) {
-  return name.replace(/^morphologically /, "");
+  return structureName(name).replace(/^morphologically /, "");
 }
 
 /** @param {number} at the place that was looked at last, or -1 @param {number} count */

@@ -1,6 +1,6 @@
 /** Warnings in the page's words and language, from their kind and values; where there are none, as the server says it. */
 
-import { language, positionText, say } from "../shared/words.js";
+import { language, positionText, say, structureName } from "../shared/words.js";
 import { phrases as phrasesDe } from "../words/warning_phrases_de.js";
 import { phrases as phrasesEn } from "../words/warning_phrases_en.js";
 import { warnings as de } from "../words/warnings_de.js";
@@ -19,6 +19,8 @@ const ENTRIES = {
 const PHRASES = { de: phrasesDe, en: phrasesEn };
 /** What is to be changed in the panel Shape, and under which heading it stands. */
 const MODEL_CHANGES = /make the cells smaller|ask for more triangles|machen sie die zellen kleiner|verlangen sie mehr dreiecke/gi;
+/** What stands between names in a list, kept by a split; what is in quotes is somebody's own. */
+const BETWEEN_NAMES = /('[^']*'|"[^"]*"|[,;] | und |Venen von |(?: auf | bei | \().*?(?=; |, |$))/;
 const PLACE = /\((-?[\d.]+), (-?[\d.]+), (-?[\d.]+)\)/g;
 
 /** @param {{text: string, code: string, parts: Parts}} warning */
@@ -65,7 +67,8 @@ export function filled(template, values) {
 function localised(name, value, isNumber) {
   if (isNumber) return language.value === "en" ? value : value.replace(/[.,]/g, (mark) => (mark === "." ? "," : "."));
   const phrases = PHRASES[language.value]?.[name] ?? [];
-  return phrases.reduce((text, [pattern, said]) => text.replace(pattern, said), value);
+  const said = phrases.reduce((text, [pattern, word]) => text.replace(pattern, word), value);
+  return said.split(BETWEEN_NAMES).map((part) => structureName(part)).join("");
 }
 
 /** @param {string} text */

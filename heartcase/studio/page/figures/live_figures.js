@@ -1,7 +1,7 @@
 /** What an incision is worth while it is held open: figures that the server works out beside the steps. */
 
 import { element } from "../panel/structures.js";
-import { figure, language, say } from "../shared/words.js";
+import { figure, language, say, structureName } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
 /** @typedef {import("../shared/words.js").Word} Word */
@@ -42,7 +42,7 @@ export function trusted(figures, invertedCount) {
 export function vesselRows(all) {
   const names = [...new Set(all.flatMap((one) => Object.keys(one.nearest_mm)))].sort();
   return names.map((name) => /** @type {[string, string[]]} */ ([
-    say("figure_nearest", { name }), all.map((one) => ((one.nearest_mm[name] ?? null) === null ? "–" : `${figure(one.nearest_mm[name], 1)} mm`)),
+    say("figure_nearest", { name: structureName(name) }), all.map((one) => ((one.nearest_mm[name] ?? null) === null ? "–" : `${figure(one.nearest_mm[name], 1)} mm`)),
   ]));
 }
 

@@ -1,7 +1,7 @@
 /** The panel beside the heart: what is shown, what the instruments feel, recordings, keys. */
 
 import { element, icon } from "../panel/structures.js";
-import { figure, isWord, language, say } from "../shared/words.js";
+import { figure, isWord, language, say, structureName } from "../shared/words.js";
 
 /** @typedef {import("../shared/words.js").Word} Word */
 /** @typedef {import("./heart.js").Structure & {name: string, word?: Word}} Structure */
@@ -34,7 +34,7 @@ export const HELP = [
 ];
 
 /** Name of a structure in a list. @param {Structure} one */
-export const shownName = (one) => (one.name === "cut faces" && isWord("operate_cut_faces") ? say("operate_cut_faces") : one.word ? say(one.word) : one.name);
+export const shownName = (one) => (one.name === "cut faces" && isWord("operate_cut_faces") ? say("operate_cut_faces") : one.word ? say(one.word) : structureName(one.name));
 
 export class Panel {
   /** @type {Set<number>} */

@@ -1,6 +1,6 @@
 /** What to do next: the place where one more stroke is worth most, and the list of what is still missing. */
 
-import { figure, isWord, language, say } from "../shared/words.js";
+import { figure, isWord, language, say, structureName } from "../shared/words.js";
 import { element } from "./structures.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
@@ -139,8 +139,8 @@ export class Guide {
       ...(this.#isEnough ? [element("strong", "enough", say("places_enough"))] : []),
       element("strong", "", this.#rightCount ? `${at} · ${say("places_right", { count: this.#rightCount })}` : at),
       element("span", "", say("place_says", {
-        label: shown.label,
-        other: shown.rival,
+        label: structureName(shown.label),
+        other: structureName(shown.rival),
         ml: figure(shown.change_ml, shown.change_ml < 1 ? 2 : 1),
         mm: figure(shown.radius_mm, 1),
       })),
@@ -152,12 +152,12 @@ export class Guide {
       const word = `item_${key}`;
       // without background everything is a structure, which looks like a fault
       const isAll = key === "background" && !done && this.#marked.length > 0;
-      const text = isAll ? say("item_background_first", { names: this.#marked.join(", ") }) : isWord(word) ? say(word) : key;
+      const text = isAll ? say("item_background_first", { names: this.#marked.map(structureName).join(", ") }) : isWord(word) ? say(word) : key;
       const row = element("li", done ? "done" : "open");
       row.append(
         element("span", "tick", done ? "✓" : "○"),
         element("span", "hidden-words", done ? say("item_done") : say("item_open")),
-        element("span", "words", missing.length > 0 && key !== "background" ? `${text}: ${missing.join(", ")}` : text),
+        element("span", "words", missing.length > 0 && key !== "background" ? `${text}: ${missing.map(structureName).join(", ")}` : text),
       );
       const where = `where_${key}`;
       if (!done && isWord(where)) row.append(pictureOf(key, say(where)));

@@ -1,7 +1,7 @@
 /** What goes on: saved or not, connected or not, what was refused, how far the opening is. */
 
 import { tellLost } from "../shared/looks.js";
-import { figure, language, positionText, say, timeLeft } from "../shared/words.js";
+import { figure, language, positionText, say, structureName, timeLeft } from "../shared/words.js";
 import { element } from "./structures.js";
 
 /** @typedef {import("../shared/connection.js").Problem} Problem */
@@ -94,7 +94,8 @@ export class Status {
     if (voxel) {
       const intensity = volume.intensityAt(voxel);
       const value = volume.labelAt(voxel);
-      const name = studio.labels.value.find((one) => one.value === value)?.name ?? say("undecided");
+      const label = studio.labels.value.find((one) => one.value === value);
+      const name = label ? structureName(label.name) : say("undecided");
       if (intensity !== null) text += `   ${figure(intensity, 0)}${studio.modality.value === "CT" ? " HU" : ""}`;
       text += `   ${name}`;
     }

@@ -1,6 +1,6 @@
 /** The list of structures: which is in hand, which are shown and locked, how large and how far each is. */
 
-import { figure, language, say } from "../shared/words.js";
+import { figure, language, say, structureName } from "../shared/words.js";
 import { keyOf } from "../tools/shortcuts.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
@@ -69,8 +69,9 @@ export class Structures {
     const chip = element("span", "chip");
     chip.style.background = label.colour;
     const key = keyOf(label, this.studio.labels.value);
-    const name = element("span", "name", label.name);
-    name.title = label.name;
+    const shown = structureName(label.name);
+    const name = element("span", "name", shown);
+    name.title = shown;
     pick.append(chip, name, element("kbd", "", key), element("span", "volume"), element("span", "mark"));
     pick.addEventListener("click", (event) => {
       this.studio.pick(label.value);
@@ -79,14 +80,14 @@ export class Structures {
     });
     const show = element("button", "show");
     show.type = "button";
-    show.setAttribute("aria-label", say("show_structure", { name: label.name }));
-    show.title = say("show_structure", { name: label.name });
+    show.setAttribute("aria-label", say("show_structure", { name: shown }));
+    show.title = say("show_structure", { name: shown });
     show.append(icon("eye"));
     show.addEventListener("click", () => this.studio.toggleShown(label.value));
     const lock = element("button", "lock");
     lock.type = "button";
-    lock.setAttribute("aria-label", say("lock_structure", { name: label.name }));
-    lock.title = `${say("lock_structure", { name: label.name })}. ${say("lock_says")}`;
+    lock.setAttribute("aria-label", say("lock_structure", { name: shown }));
+    lock.title = `${say("lock_structure", { name: shown })}. ${say("lock_says")}`;
     lock.append(icon("lock"));
     lock.addEventListener("click", () => this.lock(label.name, !this.#locked.has(label.name)));
     row.append(pick, lock, show);

@@ -2,6 +2,7 @@
 
 import { dot, plus, sectionRadius } from "../pictures/geometry.js";
 import { lighter, rimmed, lettering } from "../pictures/overlay.js";
+import { structureName } from "../shared/words.js";
 import { kindWord } from "./form.js";
 import { cutOf, rimOf, unit, within } from "./discs.js";
 import { discOf, isSame, kindOf } from "./shaping.js";
@@ -217,5 +218,5 @@ export function handleAt(shaping, camera, through, thickness, at, reach) {
 
 /** What a line is called in the picture: its name, or what it is of. @param {Line} line @param {Entry} entry @returns {string} */
 function nameOf(line, entry) {
-  return entry.name ?? entry.label ?? kindWord(kindOf(line.list, entry));
+  return entry.name ?? (entry.label ? structureName(entry.label) : kindWord(kindOf(line.list, entry)));
 }

@@ -1,6 +1,6 @@
 /** A form of a line or of settings, built from what the recipe's schema allows. */
 
-import { figure, isWord, say } from "../shared/words.js";
+import { figure, isWord, say, structureName } from "../shared/words.js";
 import { element } from "../panel/structures.js";
 
 /** @typedef {import("./shaping.js").Entry} Entry */
@@ -66,7 +66,7 @@ function inputOf(field, value, structures, onChange) {
   if (field.type === "structure") {
     const names = structures.map(({ name }) => name);
     const shown = value ?? field.default ?? "";
-    return selectOf(names.includes(shown) || shown === "" ? names : [...names, shown], shown, (name) => name, onChange, !field.needed);
+    return selectOf(names.includes(shown) || shown === "" ? names : [...names, shown], shown, structureName, onChange, !field.needed);
   }
   if (field.type === "structures") return structuresOf(structures, value ?? [], onChange);
   if (field.type === "point" || field.type === "direction") return vectorOf(field, value ?? null, onChange);
@@ -115,7 +115,7 @@ function structuresOf(structures, chosen, onChange) {
   select.multiple = true;
   select.size = 4;
   for (const { name } of structures) {
-    const option = element("option", "", name);
+    const option = element("option", "", structureName(name));
     option.value = name;
     option.selected = chosen.includes(name);
     select.append(option);

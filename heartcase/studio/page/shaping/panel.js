@@ -1,7 +1,7 @@
 /** The tab Shape: what can be placed, the lines that the recipe has, walls, materials and settings. */
 
 import { element, icon } from "../panel/structures.js";
-import { figure, isWord, language, say } from "../shared/words.js";
+import { figure, isWord, language, say, structureName } from "../shared/words.js";
 import { formRows, kindWord } from "./form.js";
 import { short } from "../building/results.js";
 import { lumenOf } from "./lumen.js";
@@ -65,7 +65,7 @@ export class ShapePanel {
     const { placing } = this.shaping;
     const kind = placing.value?.kind ?? null;
     const key = `place_${kind}`;
-    const values = { label: this.studio.pickedLabel?.name ?? "", mm: figure(this.studio.radiusMm.value, 1) };
+    const values = { label: structureName(this.studio.pickedLabel?.name ?? ""), mm: figure(this.studio.radiusMm.value, 1) };
     this.hint.textContent = kind !== null && isWord(key) ? say(key, values) : say("shape_hint");
     this.hint.classList.toggle("placing", kind !== null);
     for (const button of /** @type {Iterable<HTMLElement>} */ (this.lists.querySelectorAll("[data-place]"))) {
@@ -156,7 +156,7 @@ export class ShapePanel {
     const list = element("ul", "found");
     for (const end of ends) {
       const row = element("li", "line");
-      const go = element("button", "go", `${end.label}: ${this.#endWords(end)}`);
+      const go = element("button", "go", `${structureName(end.label)}: ${this.#endWords(end)}`);
       go.type = "button";
       go.addEventListener("click", () => this.views.lookAt(end.position_mm));
       const take = element("button", "", say("shape_take"));
@@ -284,7 +284,7 @@ export class ShapePanel {
       const field = { name: "wall_thickness_mm", type: "number", needed: false, unit: "mm", minimum: 0, maximum: 50, default: 0, meaning: say("shape_wall_meaning") };
       const [row] = formRows([field], { wall_thickness_mm }, [], (_, value) => void this.shaping.set(["labels", label, "wall_thickness_mm"], value ?? 0));
       row.dataset.wall = label;
-      /** @type {HTMLElement} */ (row.querySelector("label")).textContent = label;
+      /** @type {HTMLElement} */ (row.querySelector("label")).textContent = structureName(label);
       const note = has_table ? say("shape_wall_table") : usual !== undefined && usual > 0 && usual !== wall_thickness_mm ? say("shape_usual", { mm: figure(usual, 1) }) : "";
       row.append(element("span", "note", note));
       table.append(row);
@@ -303,10 +303,10 @@ export class ShapePanel {
       const head = element("div", "line");
       const remove = element("button", "remove");
       remove.type = "button";
-      remove.setAttribute("aria-label", say("shape_remove", { name }));
+      remove.setAttribute("aria-label", say("shape_remove", { name: structureName(name) }));
       remove.append(icon("remove"));
       onOneClick(remove, () => void this.shaping.set(["materials", "labels", name], null));
-      head.append(element("h4", "", name), remove);
+      head.append(element("h4", "", structureName(name)), remove);
       const usual = Object.fromEntries(fields.map((one) => [one.name, one.default ?? null]));
       parts.push(head, ...formRows(fields, { ...usual, ...entry }, [], (key, value) => {
         void this.shaping.set(["materials", "labels", name], constants(entry, usual, key, value));
@@ -316,7 +316,11 @@ export class ShapePanel {
     select.setAttribute("aria-label", say("shape_add_material"));
     select.append(element("option", "", say("shape_add_material")));
     const isTissue = (/** @type {string} */ role) => role === "myocardium" || role === "wall" || role === "device";
-    for (const { name, role } of structures) if (isTissue(role) && !(name in materials)) select.append(element("option", "", name));
+    for (const { name, role } of structures) if (isTissue(role) && !(name in materials)) {
+      const option = element("option", "", structureName(name));
+      option.value = name;
+      select.append(option);
+    }
     select.addEventListener("change", () => {
       const start = Object.fromEntries(fields.map((one) => [one.name, shape.value?.settings.materials[one.name] ?? one.default]));
       if (select.selectedIndex > 0) void this.shaping.set(["materials", "labels", select.value], start);
@@ -387,7 +391,7 @@ function closing({ position_mm, diameter_mm, axis, shape, width_mm, long_axis })
 /** @param {List} list @param {Entry} entry @param {number} number */
 function lineName(list, entry, number) {
   const kind = list === "landmarks" || list === "ends" ? "" : kindWord(kindOf(list, entry));
-  const what = entry.name ?? entry.label ?? (entry.between ? betweenWords(list, entry) : kind ? "" : String(number));
+  const what = entry.name ?? (entry.label ? structureName(entry.label) : undefined) ?? (entry.between ? betweenWords(list, entry) : kind ? "" : String(number));
   return [kind, what].filter(Boolean).join(": ") || `${number}`;
 }
 

@@ -5,6 +5,8 @@ import { words as de } from "../words/de.js";
 import { words as en } from "../words/en.js";
 import { words as preparingDe } from "../words/preparing_de.js";
 import { words as preparingEn } from "../words/preparing_en.js";
+import * as namesDe from "../words/structures_de.js";
+import * as namesEn from "../words/structures_en.js";
 import { keep, kept } from "./settings.js";
 import { Signal } from "./signal.js";
 
@@ -47,6 +49,26 @@ export function say(key, values = {}) {
  */
 export function isWord(key) {
   return key in english;
+}
+
+/** What structures are called, by language. */
+const NAMES = /** @type {Record<string, {structures: Record<string, string>, wallOf: (name: string) => string, septumOf: (one: string, other: string) => string}>} */ ({ de: namesDe, en: namesEn });
+
+/**
+ * A structure's name as the language calls it; one that the vocabulary does not have stays as it is. Recipes and cases
+ * hold the English names: what is written or asked for is never this.
+ * @param {string} name
+ * @returns {string}
+ */
+export function structureName(name) {
+  const { structures, wallOf, septumOf } = NAMES[language.value];
+  const known = structures[name.toLowerCase()];
+  if (known !== undefined) return known;
+  const wall = /^(.+) wall$/.exec(name);
+  if (wall && wall[1].toLowerCase() in structures) return wallOf(structureName(wall[1]));
+  const septum = /^(.+)-(.+) septum \(grown\)$/.exec(name);
+  if (septum && septum.slice(1).every((one) => one.toLowerCase() in structures)) return septumOf(structureName(septum[1]), structureName(septum[2]));
+  return name;
 }
 
 /**
