@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.markers.suggest import RightPlace, StrokePlaces, suggest_strokes
+from heartcase.pipeline.markers.suggest import RightPlace, StrokePlaces, still_right, suggest_strokes
 from heartcase.pipeline.watershed.forest import Forest
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
@@ -53,7 +53,8 @@ def structure_states(still: StillSegmentation, *, places: StrokePlaces | None = 
 
     Of the places that :func:`heartcase.pipeline.markers.suggest.suggest_strokes` names, twelve at most, those count
     for a label that have it, or may have it. It is unsure where what a look at them is worth, together, is 2% of its
-    volume or more.
+    volume or more. Of k places of a label that somebody looked at and found right, the next is wrong with a
+    probability of 1 / (k + 2) (Laplace's rule of succession), so that what they are worth counts 2 / (k + 2) times.
 
     Parameters
     ----------
@@ -76,9 +77,15 @@ def structure_states(still: StillSegmentation, *, places: StrokePlaces | None = 
         return states
     if places is None:
         places = suggest_strokes(forest, still.geometry, count=PLACE_COUNT, right=still.right)
+    right = still_right(forest, still.geometry, still.right)
     volumes = forest.label_counts() * (still.geometry.voxel_volume_mm3 / 1000.0)
     for value in sorted(marked & set(states)):
-        worth = sum(place.worth_ml for place in places.places if value in (place.label, place.rival))
+        right_count = sum(value in (one.label, one.rival) for one in right)
+        worth = (
+            2.0
+            / (right_count + 2.0)
+            * sum(place.worth_ml for place in places.places if value in (place.label, place.rival))
+        )
         is_unsure = worth > 0.0 and worth >= UNSURE_SHARE * volumes[value]
         states[value] = StructureState.UNSURE if is_unsure else StructureState.CONFIDENT
     return states

@@ -40,7 +40,7 @@ from heartcase.schemas.arrays import Bool, Float32, Float64, Int64
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import LabelTable
 
-__all__ = ["SURE", "RightPlace", "StrokePlace", "StrokePlaces", "suggest_strokes"]
+__all__ = ["SURE", "RightPlace", "StrokePlace", "StrokePlaces", "still_right", "suggest_strokes"]
 
 
 SURE = 0.5
@@ -340,6 +340,11 @@ def _flat_places(
         if _index_of(forest, one, geometry) is not None
     ]
     return flat_places(forest, feet, geometry, distances, least_ml=LEAST_ML, sure=SURE, but_near=said)
+
+
+def still_right(forest: Forest, geometry: Geometry, right: Sequence[RightPlace]) -> tuple[RightPlace, ...]:
+    """Places that were found right and still have the label that they had then."""
+    return tuple(one for one in right if _index_of(forest, one, geometry) is not None)
 
 
 def _index_of(forest: Forest, right: RightPlace, geometry: Geometry) -> tuple[int, ...] | None:

@@ -12,10 +12,11 @@ from heartcase.schemas.scripts.incision_plans import LipHands, PlannedCut, Plann
 from heartcase.simulator.incisions.blade_line import incision_of_blade
 from heartcase.simulator.incisions.held_open import ShownHeart
 from heartcase.simulator.incisions.planned import blade_poses, drawn_line, lip_hands, problems_of_cut
+from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.load import Case
 from heartcase.simulator.surface.deform import deform
 
-__all__ = ["HANDS", "OPEN_S", "Incisions"]
+__all__ = ["HANDS", "OPEN_S", "Incisions", "is_held_open"]
 
 HANDS = LipHands(hands_per_lip=2)
 """What holds the lips: as in the plans of the sample cases."""
@@ -94,6 +95,15 @@ class Incisions:
             speed = float(np.linalg.norm(offset)) / OPEN_S
             made.append((close, LeadGrab(name=name, offset_mm=offset), speed))
         return made
+
+
+def is_held_open(live: LiveFrame, number: int = -1) -> bool:
+    """Whether hands of :meth:`Incisions.hands` hold a cut open; by its place among those that are done."""
+    if not live.cuts:
+        return False
+    number %= len(live.cuts)
+    begin = _hand_name(live.cuts[number].name, number, "")
+    return any(name.startswith(begin) for name in live.frame.instruments)
 
 
 def _hand_name(cut: str, number: int, hand: str) -> str:

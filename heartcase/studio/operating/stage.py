@@ -28,7 +28,7 @@ from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
 from heartcase.studio.operating.devices import device_of, known_devices
-from heartcase.studio.operating.incisions import Incisions
+from heartcase.studio.operating.incisions import Incisions, is_held_open
 from heartcase.studio.operating.live_figures import ShownFigures
 from heartcase.studio.operating.scene.cell_labels import CellLabels
 from heartcase.studio.operating.scene.coarser import CoarseLevel, CoarserWorker, load_coarser
@@ -266,6 +266,8 @@ class Stage:
         cuts = live.newest.cuts
         if number >= len(cuts):
             raise UsageError("there is no such incision: cut first", place="incision")
+        if is_held_open(live.newest, number):
+            raise UsageError("this cut is held open already: let all go first", place="incision")
         hands = self.incisions.hands(cuts[number], number)
         closing = [live.asked(close) for close, _, _ in hands]
         _, late = wait(closing, _KEEP_S)

@@ -15,6 +15,7 @@ from heartcase.simulator.live.hands import Hands
 from heartcase.simulator.live.live import LiveFrame
 from heartcase.simulator.live.rays import CutPlane, Hit, Pointer, Ray, first_hit, first_hit_beside
 from heartcase.simulator.surface.deform import SurfaceModel, deform
+from heartcase.studio.operating.incisions import is_held_open
 from heartcase.studio.operating.requests import Look, Plane
 from heartcase.studio.operating.scene.cell_labels import nearest_cell
 from heartcase.studio.operating.scene.packing import Rounded, coarse_message, frame_message, topology_message
@@ -157,7 +158,8 @@ class Viewer:
         self._frame += 1
         hand = self._stage.device
         device = None if hand is None else hand.shown
-        header = {"device": None if device is None else _told_device(device)}
+        header: dict[str, Any] = {"device": None if device is None else _told_device(device)}
+        header["can_hold_open"] = bool(newest.cuts) and not is_held_open(newest)
         header |= {"frame": self._frame, "topology": self._topology} | described(newest)
         found.append(frame_message(header, rounded, self._sent, more))
         self._sent, self._shown, self._shown_s = rounded, newest, now

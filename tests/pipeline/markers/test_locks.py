@@ -1,5 +1,7 @@
 """Locked structures, and states of structures, in a painting session."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from heartcase.pipeline.data import Markers
 from heartcase.pipeline.markers.load_markers import rasterise_strokes
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.markers.states import StillSegmentation, StructureState, structure_states
-from heartcase.pipeline.markers.suggest import StrokePlace, StrokePlaces
+from heartcase.pipeline.markers.suggest import RightPlace, StrokePlace, StrokePlaces
 from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.schemas.errors import MarkerError, UsageError
 from heartcase.schemas.recipe.settings import SegmentSettings, Stroke
@@ -110,12 +112,25 @@ def test_states_follow_marks_and_places():
     session.paint(Stroke(label="background", radius_mm=1.0, points_mm=(world((10, 8, 6)),)))
     still = session.still()
     ml = (session.labels == 3).sum() * GEOMETRY.voxel_volume_mm3 / 1000.0
-    place = StrokePlace((0.0, 0.0, 0.0), 3, 0, 1.0, 0.1, 1.0, 0.03 * ml)
+    # worth 3.5% of the volume
+    place = StrokePlace((0.0, 0.0, 0.0), 3, 0, 1.0, 0.1, 1.0, 0.035 * ml)
     found = states(places=StrokePlaces((place,), 0.0))
     assert found["left ventricle"] is StructureState.UNSURE
     assert found["aorta"] is StructureState.NOTHING
     sure = StrokePlace((0.0, 0.0, 0.0), 3, 0, 1.0, 0.1, 1.0, 0.01 * ml)
     assert states(places=StrokePlaces((sure,), 0.0))["left ventricle"] is StructureState.CONFIDENT
+    # places that were found right make the others count less, while they have the label that they had
+    right = [RightPlace(world((2, 3, 4)), 3, 0), RightPlace(world((10, 8, 6)), 0, 3)]
+    changed = RightPlace(world((10, 8, 6)), 3, 0)
+    for known, state in (
+        ((), StructureState.UNSURE),
+        # 2/3 of it, and half of it
+        ((right[0],), StructureState.UNSURE),
+        ((right[0], changed), StructureState.UNSURE),
+        (right, StructureState.CONFIDENT),
+    ):
+        looked_at = replace(still, right=tuple(known))
+        assert structure_states(looked_at, places=StrokePlaces((place,), 0.0))[3] is state
     # what was copied stays as it was
     labels = still.forest.labels.copy()
     session.paint(Stroke(label="aorta", radius_mm=3.0, points_mm=(world((6, 6, 5)),)))

@@ -105,8 +105,10 @@ def test_a_second_incision_has_hands_of_its_own_and_one_that_is_held_stays(hollo
         page.until(lambda frame: len(frame["instruments"]) == 4)
         page.done("pause", paused=False)
         assert page.frames[-1]["cut_count"] == 1
-        # held already: it is refused, and nothing is led
-        assert page.ask("hold_open", incision=0)["kind"] == "refused"
+        # held already: it is refused in one line, and nothing is led
+        assert not page.frames[-1]["can_hold_open"]
+        refused = page.ask("hold_open", incision=0)
+        assert [one["message"] for one in refused["problems"]] == ["this cut is held open already: let all go first"]
         cut = stage.incisions.cut("lid")
         beside = np.array(cut.poses_mm) - np.array([0.0, 9.0, 0.0])
         page.done("command", command={"kind": "cut", "name": "lid", "poses_mm": beside.tolist(), "at_rest": True})

@@ -37,8 +37,12 @@ def test_incisions_are_cut_held_compared_and_played_side_by_side_and_a_device_pu
                 # in the panel and over the heart; all hands are one act, and let go at once
                 tab.locator("#hold-last").click()
                 hands.until(lambda header: len(header["instruments"]) == 4)
+                tab.locator("#hold-last").wait_for(state="hidden")
                 tab.locator("#undo").click()
-                hands.until(lambda header: header["act_count"] == 1)
+                hands.until(lambda header: header["act_count"] == 1 and header["mode"] == "paused")
+                # the space bar goes on, and presses no button that was clicked
+                tab.keyboard.press("Space")
+                hands.until(lambda header: header["mode"] == "running")
                 tab.locator("#hold-open").click()
                 hands.until(lambda header: len(header["instruments"]) == 4)
                 tab.locator("#let-go-all").click()

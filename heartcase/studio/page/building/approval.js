@@ -13,6 +13,7 @@ export class Approval {
   /** @type {Case | null} */
   #case = null;
   #isBusy = false;
+  #isAsking = false;
   /** Hash of the case whose report was opened. */
   #read = "";
 
@@ -26,14 +27,16 @@ export class Approval {
     find("approve-form").addEventListener("submit", (event) => {
       event.preventDefault();
       if (this.#case === null || !this.#mayApprove) return;
-      void ask({
+      void this.#asked(ask({
         do: "approve", role: field("approve-role").value, note: field("approve-note").value,
         sha256: this.#case.sha256, has_looked: true,
-      });
+      }));
     });
     find("withdraw").addEventListener("click", () => {
-      if (this.#case === null) return;
-      void ask({ do: "withdraw", role: field("approve-role").value, note: field("approve-note").value, sha256: this.#case.sha256 });
+      if (this.#case === null || this.#isAsking) return;
+      // to approve it again is to look again
+      field("approve-compared").checked = false;
+      void this.#asked(ask({ do: "withdraw", role: field("approve-role").value, note: field("approve-note").value, sha256: this.#case.sha256 }));
     });
     field("approve-role").addEventListener("input", () => this.#draw());
     field("approve-compared").addEventListener("change", () => this.#draw());
@@ -53,9 +56,17 @@ export class Approval {
     this.#draw();
   }
 
+  /** One approval for a double click. @param {Promise<void>} answer */
+  async #asked(answer) {
+    this.#isAsking = true;
+    this.#draw();
+    await answer.finally(() => (this.#isAsking = false)).catch(() => undefined);
+    this.#draw();
+  }
+
   get #mayApprove() {
     const made = this.#case;
-    return made !== null && !this.#isBusy && this.#missing(made).length === 0 && field("approve-role").value.trim() !== "";
+    return made !== null && !this.#isBusy && !this.#isAsking && this.#missing(made).length === 0 && field("approve-role").value.trim() !== "";
   }
 
   /** What is to be done before. @param {Case} made */
@@ -85,6 +96,6 @@ export class Approval {
     find("approve").hidden = isApproved;
     find("withdraw").hidden = !isApproved;
     /** @type {HTMLButtonElement} */ (find("approve")).disabled = !this.#mayApprove;
-    /** @type {HTMLButtonElement} */ (find("withdraw")).disabled = this.#isBusy || field("approve-role").value.trim() === "";
+    /** @type {HTMLButtonElement} */ (find("withdraw")).disabled = this.#isBusy || this.#isAsking || field("approve-role").value.trim() === "";
   }
 }

@@ -87,16 +87,18 @@ export class Results {
     const box = find("build-warnings");
     const at = [...box.querySelectorAll("button, input")].indexOf(/** @type {Element} */ (document.activeElement));
     const parts = [];
-    for (const grade of GRADES) {
-      const alike = warnings.filter((one) => one.grade === grade);
-      // whether a hole was walled over is asked first
-      alike.sort((one, other) => Number(other.code === GROWN) - Number(one.code === GROWN));
-      if (alike.length === 0) continue;
+    /** @param {string} grade @param {readonly Warning[]} alike */
+    const group = (grade, alike) => {
+      if (alike.length === 0) return;
       const word = `build_grade_${grade}`;
       const list = element("ol", `warnings ${grade}`);
       list.append(...alike.map((one) => this.#warning(one)));
       parts.push(element("h4", grade, isWord(word) ? say(word) : grade), list);
-    }
+    };
+    // whether a hole was walled over is asked first, until it is answered
+    const asked = warnings.filter(({ code }) => code === GROWN && (this.#case?.grown ?? []).some(({ state }) => state === "grown"));
+    group("look", asked);
+    for (const grade of GRADES) group(grade, warnings.filter((one) => one.grade === grade && !asked.includes(one)));
     if (parts.length === 0) parts.push(element("p", "soft", say("build_no_warnings")));
     box.replaceChildren(...parts);
     if (at >= 0) /** @type {HTMLElement | undefined} */ (box.querySelectorAll("button, input")[at])?.focus({ preventScroll: true });
@@ -207,7 +209,7 @@ export class Results {
   #drawOpenings({ openings, grown }) {
     const walled = grown.filter(({ state }) => state === "grown").map((one) => ({ ...one, verdict: "walled" }));
     find("openings").hidden = openings.length + walled.length === 0;
-    find("opening-rows").replaceChildren(...[...openings, ...walled].map((one) => {
+    find("opening-rows").replaceChildren(...[...walled, ...openings].map((one) => {
       const row = element("tr", ODD.includes(one.verdict) ? "odd" : "");
       const button = element("button", "fly", one.between.map(short).join(" – "));
       button.type = "button";

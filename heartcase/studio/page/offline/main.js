@@ -311,7 +311,9 @@ async function run() {
   }
 
   function tellPlaying() {
-    find("play").setAttribute("aria-pressed", String(played?.isRunning ?? false));
+    const isRunning = played?.isRunning ?? false;
+    find("play").setAttribute("aria-pressed", String(isRunning));
+    /** @type {Element} */ (find("play").querySelector("use")).setAttribute("href", isRunning ? "#icon-pause" : "#icon-go");
   }
 
   function playOrPause() {

@@ -147,10 +147,13 @@ function run() {
     surroundings.group.visible = surrounds.checked;
     picture.redraw();
   });
+  /** Whether a recording is being opened, and said so. */
+  let isOpening = false;
   /** @param {string} name */
   function replay(name) {
     forget();
     notice("", [{ place: "", message: say("recording_opening", { name }) }]);
+    isOpening = true;
     ask({ do: "replay", name });
   }
 
@@ -262,6 +265,10 @@ function run() {
     ["notice-close", () => notice("", [])],
   ];
   for (const [id, does] of clicks) find(id).addEventListener("click", does);
+  // by mouse one goes on over the heart, where keys such as the space bar are the page's
+  for (const id of ["undo", "redo", "let-go", "let-go-all", "hold-last", "tie", "back", "pause", "play"]) {
+    find(id).addEventListener("click", (event) => event.detail > 0 && find("scene").focus({ preventScroll: true }));
+  }
   const strain = /** @type {HTMLInputElement} */ (find("strain"));
   strain.addEventListener("change", () => {
     picture.heart.uniforms.showsStretch.value = strain.checked;
@@ -374,16 +381,19 @@ function run() {
     picture.detail.begin();
   }
 
+  /** A topology, and coarser ones of it, whose first frame is to come. @type {Package[]} */
+  let coming = [];
   /** @param {Package} message */
   function receive(message) {
     const { header } = message;
+    // shown with the first frame of its own: where its nodes are is not known before
     if (header.kind === "topology") {
-      picture.heart.takeTopology(message);
-      picture.redraw();
+      coming = [message];
       return;
     }
     if (header.kind === "coarse_topology") {
-      picture.heart.takeCoarse(message);
+      if (coming.length > 0) coming.push(message);
+      else picture.heart.takeCoarse(message);
       return;
     }
     const arrays = arraysOf(message);
@@ -394,6 +404,10 @@ function run() {
     if (header.kind === "slice") {
       scanControls.take(header, arrays);
       return;
+    }
+    for (const one of coming.splice(0)) {
+      if (one.header.kind === "topology") picture.heart.takeTopology(one);
+      else picture.heart.takeCoarse(one);
     }
     const isHeartNew = picture.heart.takeFrame(message, arrays);
     const areToolsNew = picture.tools.show(header, arrays);
@@ -425,18 +439,20 @@ function run() {
     /** @type {HTMLButtonElement} */ (find("redo")).disabled = header.end_s <= header.time_s;
     /** @type {HTMLButtonElement} */ (find("let-go")).disabled = header.instruments.length === 0;
     find("let-go-all").hidden = header.instruments.length < 2;
-    find("hold-last").hidden = header.cut_count === 0;
+    find("hold-last").hidden = !header.can_hold_open;
     find("tie").hidden = !header.stitches.some((/** @type {any} */ one) => !one.tied);
     find("record").setAttribute("aria-pressed", String(header.recording !== null));
     const cutting = header.cutting > 0 ? say("operate_cutting") : "";
     const pace = header.pace === null ? "" : say("operate_pace", { pace: figure(header.pace, 2) });
     find("pace").textContent = [cutting, pace].filter(Boolean).join("   ");
     if (before?.recording && !header.recording) ask({ do: "recordings" });
-    if (noticeUntil > 0 && performance.now() > noticeUntil) notice("", []);
+    const isOpen = isOpening && header.mode === "playing";
+    if (isOpen || (noticeUntil > 0 && performance.now() > noticeUntil)) notice("", []);
   }
 
   /** @param {string} heading @param {readonly Problem[]} problems */
   function notice(heading, problems) {
+    isOpening = false;
     find("notice").hidden = problems.length === 0;
     noticeUntil = problems.length ? performance.now() + NOTICE_MS : 0;
     find("notice-words").replaceChildren(...(heading ? [element("strong", "", heading)] : []), list(problems));

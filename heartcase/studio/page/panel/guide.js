@@ -9,7 +9,8 @@ import { element } from "./structures.js";
 /** @typedef {{position_mm: Vector, label: string, rival: string, change_ml: number, radius_mm: number}} Place */
 /** @typedef {{key: string, done: boolean, missing: string[]}} Item */
 
-const COUNT = 5;
+/** As many as are looked at for how sure structures are. */
+const COUNT = 12;
 
 /** Where it is in the sample heart. @param {string} key @param {string} words */
 function pictureOf(key, words) {
@@ -95,8 +96,11 @@ export class Guide {
       this.onFault(error);
       return;
     }
-    this.#places = null;
     this.#rightCount += 1;
+    const left = (this.#places ?? []).filter((one) => one !== shown);
+    // one after the other, and then those that are worth most by then
+    this.#places = left.length > 0 ? left : null;
+    this.#at = left.length > 0 ? (this.#at - 1 + left.length) % left.length : -1;
     await this.next();
     if (hadFocus) (right.hidden ? document.getElementById("next-place") : right)?.focus();
   }
@@ -111,6 +115,11 @@ export class Guide {
   get #isEnough() {
     const states = this.#marked.map((name) => this.#states[name]);
     return states.length > 0 && states.every((state) => state === "confident");
+  }
+
+  /** Whether all that a heart has is marked; vessel ends are no strokes. */
+  get #isComplete() {
+    return this.#items.every(({ key, done }) => done || key === "ends");
   }
 
   /** @param {readonly Item[]} items @param {readonly string[]} marked names of structures that are marked */
@@ -136,7 +145,7 @@ export class Guide {
     }
     const at = say("place_of", { at: this.#at + 1, count: this.#places.length });
     place.replaceChildren(
-      ...(this.#isEnough ? [element("strong", "enough", say("places_enough"))] : []),
+      ...(this.#isEnough ? [element("strong", "enough", say(this.#isComplete ? "places_enough" : "places_enough_marked"))] : []),
       element("strong", "", this.#rightCount ? `${at} · ${say("places_right", { count: this.#rightCount })}` : at),
       element("span", "", say("place_says", {
         label: structureName(shown.label),
