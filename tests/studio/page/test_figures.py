@@ -81,7 +81,7 @@ def test_incisions_are_cut_held_compared_and_played_side_by_side_and_a_device_pu
         assert taken.value.path().stat().st_size > 100_000
         tab.locator("#side-by-side").click()
         until(lambda: page.text("#beside-title") == "hollow-1" and " of " in page.text("#beside-time"))
-        hands.until(lambda header: header["mode"] == "paused" and header["act_count"] == 5)
+        hands.until(lambda header: header["mode"] == "paused" and header["act_count"] == 13)
         beside = hollow.opened.places["beside"]
         until(lambda: beside._stage.live.newest.mode == "paused" and beside._stage.live.newest.act_count == 1)
         page.drawn()
