@@ -53,6 +53,8 @@ MORE_THAN_ASKED = 1.5
 """An opening at a septal_defect edit is looked at when it is this many times as large as the edit asks for."""
 CANAL_COSINE = 0.7
 """What faces along a canal's axis less than this is its wall."""
+_LEAST_FACES = 6
+"""An opening of fewer faces has no axis of its own."""
 _NORMAL_PAIRS = (
     ("lv", "la"),
     ("lv", "aorta"),
@@ -183,6 +185,19 @@ class Opening:
         return 2.0 * math.sqrt(self.area_mm2 / math.pi)
 
     @property
+    def axis(self) -> Float64 | None:
+        """Unit vector through the hole, shape (3,): of the edit that states it, else where its faces spread least."""
+        if self.statement is not None and self.statement.axis is not None:
+            return self.statement.axis
+        if len(self.points_mm) < _LEAST_FACES:
+            return None
+        away = self.points_mm - self.points_mm.mean(axis=0)
+        _, vectors = np.linalg.eigh(away.T @ away)
+        least: Float64 = vectors[:, 0]
+        # either way round is right: the same one on every machine
+        return least * (1.0 if least[np.abs(least).argmax()] > 0.0 else -1.0)
+
+    @property
     def is_too_large(self) -> bool:
         """Whether it is larger than the edit that states it asks for, by more than voxels explain."""
         return self.asked_mm2 is not None and self.area_mm2 > MORE_THAN_ASKED * self.asked_mm2
@@ -308,6 +323,10 @@ def opening_figures(openings: Sequence[Opening]) -> list[dict[str, Any]]:
             "center_mm": [round(value, 1) + 0.0 for value in one.center_mm],
             "verdict": one.verdict.value,
         }
+        if one.verdict is Verdict.STATED and (axis := one.axis) is not None:
+            # of the hole: who looks through it needs to know where it lies
+            figure["middle_mm"] = [round(value, 1) + 0.0 for value in one.points_mm.mean(axis=0).tolist()]
+            figure["axis"] = [round(value, 3) + 0.0 for value in axis.tolist()]
         if one.stated_by:
             figure["stated_by"] = one.stated_by
         if one.asked_mm2 is not None:

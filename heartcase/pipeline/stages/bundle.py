@@ -52,7 +52,7 @@ def _compute(work: Work) -> AssembledCase:
 
 STAGE: Stage[Any] = Stage(
     name="bundle",
-    version=8,
+    version=9,
     title="writing the case",
     deed="write the case",
     subject="",

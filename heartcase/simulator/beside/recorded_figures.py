@@ -22,6 +22,7 @@ from heartcase.schemas.recording.commands import (
 from heartcase.schemas.recording.reader import Recording
 from heartcase.schemas.scripts.incision_plans import ShaftSettings
 from heartcase.simulator.beside.figures_worker import LiveFigures, figures_of
+from heartcase.simulator.incisions.stated_defects import landmarks_with_defects
 from heartcase.simulator.live.cuts_done import Moment
 from heartcase.simulator.live.live import moment_of
 from heartcase.simulator.load import Case
@@ -110,7 +111,8 @@ def figures_of_recording(
     live = replace(moment_of(session), cuts=cuts, unheld=None if unheld is None else _moment(unheld))
     start = load_session(recording, case.model, surface=case.surface, tissue=case.tissue, snapshot_every_s=inf)
     whole = _moment(start).heart
-    return figures_of(live, whole, case.manifest.landmarks, min(incision, len(cuts) - 1), shaft=shaft, reaches=reaches)
+    landmarks = landmarks_with_defects(case.manifest)
+    return figures_of(live, whole, landmarks, min(incision, len(cuts) - 1), shaft=shaft, reaches=reaches)
 
 
 def _at(case: Case, recording: Recording, position: int) -> OperatingSession:

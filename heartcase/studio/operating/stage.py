@@ -18,6 +18,7 @@ from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.beside.device_hand import DeviceHand
 from heartcase.simulator.case_simulation import simulation_of_case
 from heartcase.simulator.haptics.servo import HapticServo
+from heartcase.simulator.incisions.stated_defects import landmarks_with_defects
 from heartcase.simulator.incisions.strain import vertex_colours
 from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES, STRETCH_SHOWN, Structures
@@ -94,7 +95,7 @@ class Stage:
         self._spares = False
         self.incisions = Incisions(case)
         self.device: DeviceHand | None = None
-        self.figures = ShownFigures(self.incisions, case.manifest.landmarks, heard)
+        self.figures = ShownFigures(self.incisions, landmarks_with_defects(case.manifest), heard)
         self.live = self._started(self._new_session())
 
     @property

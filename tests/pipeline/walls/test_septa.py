@@ -12,7 +12,7 @@ from scipy.ndimage import label as pieces_of
 
 from heartcase.pipeline.artifacts.serialise import artifact_from_bytes, artifact_to_bytes
 from heartcase.pipeline.bundle.assembly import labels_of
-from heartcase.pipeline.checks.openings import Verdict, find_openings
+from heartcase.pipeline.checks.openings import Verdict, find_openings, opening_figures
 from heartcase.pipeline.data import Reshaping, Segmentation, Septum, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.layout import ALL_FIELDS
@@ -201,6 +201,10 @@ def test_a_stated_defect_stays_open_as_wide_as_it_is_stated(radius, how, kind):
     assert one.verdict is Verdict.STATED
     assert one.diameter_mm == pytest.approx(2.0 * radius, abs=0.45)
     assert np.linalg.norm(one.center_mm) < 1.5
+    # where the hole lies, for who looks through it: figures of incisions make a ring of it
+    (figure,) = opening_figures([one])
+    assert abs(np.dot(figure["axis"], NORMAL)) > 0.97
+    assert np.linalg.norm(figure["middle_mm"]) < 1.0
 
 
 @pytest.mark.parametrize("how", ["ring", "strokes"])
