@@ -3,7 +3,8 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 import { cross } from "../../../heartcase/studio/page/operating/camera.js";
-import { lettersOf, SIDES, sidesOf } from "../../../heartcase/studio/page/offline/looking.js";
+import { SIDES } from "../../../heartcase/studio/page/offline/looking.js";
+import { lettersOf, sidesOf } from "../../../heartcase/studio/page/operating/orientation.js";
 
 const near = (a, b) => a.every((one, n) => Math.abs(one - b[n]) < 1e-9);
 

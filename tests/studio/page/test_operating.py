@@ -388,6 +388,11 @@ def test_all_tools_and_tabs_fit_in_german_and_what_is_said_changes_its_language(
         assert "Gedehnt" in page.text("#stretch-legend")
         # the tool that ties is there with stitches alone
         tab.locator("#tie").evaluate("(one) => { one.hidden = false; }")
+        # which side of the patient lies where, and how long a millimetre is, stands over the heart
+        inked = (
+            "(one) => one.getContext('2d').getImageData(0, 0, one.width, one.height).data.filter((v) => v > 0).length"
+        )
+        assert tab.locator("#scene canvas.orientation").evaluate(inked) > 500
         theme = tab.locator("#theme").bounding_box()
         assert theme["x"] + theme["width"] <= 1366
         for name in ("structures", "recordings", "help"):

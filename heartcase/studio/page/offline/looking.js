@@ -7,7 +7,7 @@ import { SIDES as DIRECTIONS } from "../section/plane.js";
 /** @typedef {import("../operating/camera.js").Camera} Camera */
 /** @typedef {import("../operating/camera.js").Vector} Vector */
 /** @typedef {[Vector, Vector, Vector]} Axes the picture's right, its top, the way to the eye */
-/** @typedef {"front" | "back" | "left" | "right" | "head" | "feet"} Side */
+/** @typedef {import("../operating/orientation.js").Side} Side */
 
 /** What is up, seen from a side. @param {Vector} towards @returns {Vector} */
 const upOf = ([, , along]) => (along === 0 ? [0, 0, 1] : [0, -1, 0]);
@@ -15,28 +15,9 @@ const upOf = ([, , along]) => (along === 0 ? [0, 0, 1] : [0, -1, 0]);
 export const SIDES = /** @type {any} */ (
   Object.fromEntries(Object.entries(DIRECTIONS).map(([side, towards]) => [side, [cross(upOf(towards), towards), upOf(towards), towards]]))
 );
-/** Sides that the axes of LPS lead to and come from. @type {readonly (readonly [Side, Side])[]} */
-const WAYS = /** @type {any} */ (
-  [0, 1, 2].map((axis) => [1, -1].map((sign) => Object.keys(DIRECTIONS).find((side) => DIRECTIONS[side][axis] === sign)))
-);
-/** As in the studio: left, right, posterior, anterior, head, feet. @type {Record<Side, string>} */
-const LETTERS = { left: "L", right: "R", back: "P", front: "A", head: "H", feet: "F" };
-const LEAST = 0.35;
 const MOVE_MS = 320;
 const TURNS = 12;
 const ZOOM = 1.2;
-
-/** Sides of the patient that a direction leads to, the strongest first; weak ones are left out. @param {Vector} direction @returns {Side[]} */
-export function sidesOf(direction) {
-  const size = Math.hypot(...direction);
-  return [0, 1, 2]
-    .filter((axis) => Math.abs(direction[axis]) >= LEAST * size)
-    .sort((a, b) => Math.abs(direction[b]) - Math.abs(direction[a]))
-    .map((axis) => WAYS[axis][direction[axis] > 0 ? 0 : 1]);
-}
-
-/** @param {Vector} direction */
-export const lettersOf = (direction) => sidesOf(direction).map((side) => LETTERS[side]).join("");
 
 /** @param {Axes} axes */
 function turnOf([right, up, towards]) {

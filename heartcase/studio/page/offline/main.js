@@ -1,5 +1,6 @@
 /** A case without a server: looked at, cut open, coloured, its recordings played; pulled and probed where there is WebGPU. */
 
+import { sidesOf } from "../operating/orientation.js";
 import { arraysOf } from "../operating/messages.js";
 import { Panel, shownName } from "../operating/panel.js";
 import { NoGraphics, Picture } from "../operating/picture.js";
@@ -17,7 +18,7 @@ import { caseText, NoCase, readCase } from "./case_data.js";
 import { Colouring, Lit } from "./colouring.js";
 import { followingOf } from "./following.js";
 import { Frame, LocalHands } from "./hands.js";
-import { Looking, SIDES, sidesOf } from "./looking.js";
+import { Looking, SIDES } from "./looking.js";
 import { Marks } from "./marks.js";
 import { runNaming } from "./naming.js";
 import { Picking } from "./picking.js";

@@ -1,17 +1,14 @@
 /** What is drawn over the picture: letters of the patient's sides, a scale, landmarks and planned incisions with their names. */
 
 import { dot } from "../operating/camera.js";
+import { drawOrientation } from "../operating/orientation.js";
 import { figure, say } from "../shared/words.js";
-import { lettersOf } from "./looking.js";
 
 /** @typedef {import("../operating/camera.js").Camera} Camera */
 /** @typedef {import("../operating/camera.js").Vector} Vector */
 /** @typedef {{name: string, kind: string, closed: boolean, depth: number | null, points: Vector[]}} Mark */
-/** @typedef {(text: string, x: number, y: number, align: CanvasTextAlign, line: CanvasTextBaseline) => void} Write */
+/** @typedef {import("../operating/orientation.js").Write} Write */
 
-const INSET = 8;
-const LENGTHS_MM = [1, 2, 5, 10, 20, 50, 100, 200];
-const SCALE_PART = 0.25;
 const LINE_PX = 15;
 /** A landmark is drawn to this far before a plane that cuts, mm. */
 const BEFORE_MM = 2;
@@ -30,44 +27,12 @@ export class Marks {
   }
 
   draw() {
-    const { canvas, camera } = this;
-    const ratio = Math.min(devicePixelRatio || 1, 2);
-    const [width, height] = [Math.round(camera.width * ratio), Math.round(camera.height * ratio)];
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    const pen = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, camera.width, camera.height);
-    const style = getComputedStyle(canvas);
-    const [ink, paper] = [style.getPropertyValue("--ink"), style.getPropertyValue("--paper")];
-    /** @type {Write} */
-    const write = (text, x, y, align, line) => {
-      Object.assign(pen, { textAlign: align, textBaseline: line, lineWidth: 4, lineJoin: "round", strokeStyle: paper, fillStyle: ink });
-      pen.strokeText(text, x, y);
-      pen.fillText(text, x, y);
-    };
-    pen.font = "600 15px system-ui, sans-serif";
-    const back = (/** @type {Vector} */ way) => /** @type {Vector} */ (way.map((part) => -part));
-    write(lettersOf(camera.right), camera.width - INSET, camera.height / 2, "right", "middle");
-    write(lettersOf(back(camera.right)), INSET, camera.height / 2, "left", "middle");
-    write(lettersOf(camera.up), camera.width / 2, INSET, "center", "top");
-    write(lettersOf(back(camera.up)), camera.width / 2, camera.height - INSET, "center", "bottom");
-    this.#scale(pen, ink, write);
+    const { pen, ink, paper, write } = drawOrientation(this.canvas, this.camera);
     if (!this.areShown) return;
     pen.font = "500 13px system-ui, sans-serif";
     /** @type {{left: number, top: number, wide: number}[]} */
     const taken = [];
     for (const mark of this.marks) this.#mark(pen, ink, paper, write, mark, taken);
-  }
-
-  /** How long a millimetre is at the middle of what is seen. @param {CanvasRenderingContext2D} pen @param {string} ink @param {Write} write */
-  #scale(pen, ink, write) {
-    const { camera } = this;
-    const room = SCALE_PART * camera.width * camera.mmPerPixel;
-    const length = LENGTHS_MM.filter((mm) => mm <= room).at(-1) ?? LENGTHS_MM[0];
-    const bottom = camera.height - 14;
-    pen.fillStyle = ink;
-    pen.fillRect(12, bottom, length / camera.mmPerPixel, 3);
-    write(`${length} mm`, 12, bottom - 4, "left", "bottom");
   }
 
   /** @param {CanvasRenderingContext2D} pen @param {string} ink @param {string} paper @param {Write} write @param {Mark} mark @param {{left: number, top: number, wide: number}[]} taken */

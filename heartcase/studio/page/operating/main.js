@@ -17,6 +17,7 @@ import { TourPanel } from "../touring/tour_panel.js";
 import { arraysOf } from "./messages.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
+import { Orientation } from "./orientation.js";
 import { PlaneControls } from "./plane_controls.js";
 import { Pointer } from "./pointer.js";
 import { ScanControls } from "./scan_controls.js";
@@ -98,6 +99,9 @@ function run() {
   });
   picture.detail.wanted = () => ask({ do: "coarser" });
   const second = new SecondView(picture);
+  for (const one of [new Orientation(find("scene"), picture.camera), new Orientation(find("scene-2"), second.camera)]) {
+    picture.drawn.push(() => one.draw());
+  }
   /** @param {string} surface @param {import("./camera.js").Camera} camera @param {string} cursor @returns {Pointer} */
   const pointerOn = (surface, camera, cursor) => {
     const made = new Pointer(find(surface), camera, {
