@@ -8,15 +8,20 @@ from typing import get_args
 
 from heartcase.schemas.arrays import Float32
 from heartcase.schemas.recording.commands import Act, Cut
+from heartcase.schemas.recording.suture_commands import PlacePatch, PlaceRow, PlaceStitch
+from heartcase.schemas.recording.tool_commands import Snip
 from heartcase.simulator.incisions.held_open import ShownHeart
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.surface.deform import SurfaceModel, deform
 
-__all__ = ["CutsDone", "Kept", "Moment"]
+__all__ = ["ActMarks", "CutsDone", "Kept", "Moment"]
 
 _ACTS = get_args(Act)
+_MARKED: dict[type, str] = {
+    Cut: "cut", Snip: "cut", PlacePatch: "patch", PlaceStitch: "stitch", PlaceRow: "stitch",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +74,28 @@ class CutsDone:
         if self.cuts and not frame.instruments and surface is not None:
             self.unheld = Moment(frame.model, surface, frame.state.displacement)
             self._unheld_cuts = self.cuts
+
+
+class ActMarks:
+    """Where on the time line cuts, patches and stitches of a session are: what one wants to find again.
+
+    ``marks`` are their steps and what they are, ``cut``, ``patch`` or ``stitch``, also of what is known ahead after
+    going back; the same tuple while nothing changes.
+    """
+
+    def __init__(self) -> None:
+        self.marks: tuple[tuple[int, str], ...] = ()
+        self._key: tuple[int, ...] = ()
+
+    def note(self, session: OperatingSession) -> None:
+        """Take in what the session knows now."""
+        entries = session.entries
+        places = entries.places_of(tuple(_MARKED))
+        key = tuple(entries.origin(at) for at in places)
+        if key != self._key:
+            self._key = key
+            found = [entries[at] for at in places]
+            self.marks = tuple((one.step, _MARKED[type(one.command)]) for one in found)
 
 
 class Kept:

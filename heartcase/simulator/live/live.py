@@ -33,7 +33,7 @@ from heartcase.schemas.recording.commands import (
     WithdrawProbe,
 )
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.live.cuts_done import CutsDone, Kept, Moment
+from heartcase.simulator.live.cuts_done import ActMarks, CutsDone, Kept, Moment
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals, held_by, places_mm, probe_axes_mm
 from heartcase.simulator.live.tool import Held
 from heartcase.simulator.session.frame import Frame
@@ -91,6 +91,8 @@ class LiveFrame:
     """Cuts that are done, as the history has them: at rest. The same object while they are the same."""
     unheld: Moment | None = None
     """The surface when it was last seen cut with no instrument in it; None where it was not seen so."""
+    marks: tuple[tuple[int, str], ...] = ()
+    """Steps of cuts, patches and stitches that are known, and what each is; the same object while they are the same."""
 
 
 class Live:
@@ -149,6 +151,7 @@ class Live:
         self._part = 0.0
         self._past: deque[tuple[float, int]] = deque()
         self._cuts_done = CutsDone()
+        self._act_marks = ActMarks()
         self._kept = Kept()
         self._taker: Taker | None = None
         self.newest = self._published(session.frame(surface=self._shows_surface))
@@ -476,6 +479,7 @@ class Live:
             rate = (last - first) / max(ended - began, 1e-9)
             factor = rate * session.simulation.step_s
         self._cuts_done.note(session, frame)
+        self._act_marks.note(session)
         return replace(
             moment_of(session, frame),
             mode=self._mode,
@@ -485,6 +489,7 @@ class Live:
             act_count=self._cuts_done.act_count,
             cuts=self._cuts_done.cuts,
             unheld=self._cuts_done.unheld,
+            marks=self._act_marks.marks,
         )
 
 

@@ -53,12 +53,13 @@ class Viewer:
         self._coarse_topology = 0
         self._plane: CutPlane | None = None
         self._figures: str | None = None
+        self._marks: tuple[tuple[int, str], ...] | None = None
         self._pickable: tuple[SurfaceModel, frozenset[int], Int32] | None = None
 
     def begin_anew(self) -> None:
         """The stage has another session now: nothing is in hand."""
         tool = self.hands.tool
-        self.hands = Hands(self._stage.live)
+        self.hands, self._marks = Hands(self._stage.live), None
         if tool is not None:
             self.hands.take(tool.key)
             assert self.hands.tool is not None
@@ -159,6 +160,8 @@ class Viewer:
         hand = self._stage.device
         device = None if hand is None else hand.shown
         header: dict[str, Any] = {"device": None if device is None else _told_device(device)}
+        if newest.marks is not self._marks:
+            self._marks = header["marks"] = newest.marks
         header["can_hold_open"] = bool(newest.cuts) and not is_held_open(newest)
         header |= {"frame": self._frame, "topology": self._topology} | described(newest)
         found.append(frame_message(header, rounded, self._sent, more))

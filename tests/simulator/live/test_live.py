@@ -277,3 +277,29 @@ def test_an_end_that_fails_is_heard_of(case):
     with mock.patch.object(live.session, "frame", side_effect=ZeroDivisionError("a fault")):
         live.close()
     assert isinstance(heard[-1], ZeroDivisionError)
+
+
+def test_cuts_are_marked_on_the_time_line_also_those_ahead(case):
+    live = live_on(case)
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0))
+    live.tick()
+    assert live.newest.marks == ()
+    step = live.newest.frame.step
+    live.do(Cut(poses_mm=tuple(tuple((22.3, y, z) for y in (-18.0, -10.0)) for z in (45.0, 33.0))))
+    live.make_cuts()
+    live.tick()
+    marks = live.newest.marks
+    assert [kind for _, kind in marks] == ["cut"]
+    assert marks[0][0] >= step
+    live.tick()
+    # the same while nothing is new
+    assert live.newest.marks is marks
+    live.do(Undo())
+    live.tick()
+    assert live.newest.marks == marks
+    assert live.newest.ahead_s > 0.0
+    # what comes instead drops it
+    live.do(OpenGrab(name="hand"))
+    live.tick()
+    assert live.newest.marks == ()
+    live.close()

@@ -153,6 +153,11 @@ def test_a_story_by_mouse(chromium, operated):
         hands.until(lambda header: header["mode"] == "paused" and header["step"] == end)
         assert hands.shows(operated.live) < TOLERANCE_MM
         assert operated.live.session.deviations == []
+        # the cut stands on the time line: a click goes there
+        ((step, kind),) = operated.live.newest.marks
+        assert kind == "cut"
+        tab.locator("#time-marks .cut").click()
+        hands.until(lambda header: header["step"] == step)
         slider = tab.locator("#time")
         slider.evaluate("(one) => { one.value = one.max / 2; one.dispatchEvent(new Event('input')); }")
         hands.until(lambda header: abs(header["step"] - end / 2) <= 1)

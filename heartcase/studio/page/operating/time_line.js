@@ -1,6 +1,9 @@
 /** The time line: where the session is, how far it is known, going back and on along it. */
 
-import { figure, fillWords, say } from "../shared/words.js";
+import { element } from "../panel/structures.js";
+import { figure, fillWords, language, say } from "../shared/words.js";
+
+/** Step, and what was done then. @typedef {[number, "cut" | "patch" | "stitch"]} Mark */
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -11,6 +14,10 @@ export class TimeLine {
   #isAsking = false;
   stepS = 1;
   mode = "";
+  /** @type {readonly Mark[]} */
+  #marks = [];
+  #markLanguage = "";
+  #markEnd = 0;
 
   /** @param {(step: number) => Promise<unknown>} goTo */
   constructor(goTo) {
@@ -24,6 +31,7 @@ export class TimeLine {
   /** @param {Record<string, any>} header of a frame */
   show(header) {
     const end = Math.round(header.end_s / this.stepS);
+    this.#showMarks(header.marks ?? this.#marks, Math.max(end, 1));
     if (this.#wanted === null && !this.#isAsking) {
       this.#slider.max = String(Math.max(end, 1));
       this.#slider.value = String(header.step);
@@ -34,6 +42,29 @@ export class TimeLine {
     /** @type {HTMLButtonElement} */ (find("play")).disabled = header.mode === "playing" || header.end_s <= header.time_s;
     /** @type {HTMLButtonElement} */ (find("back")).disabled = header.step === 0;
     if (header.mode !== this.mode) this.tell(header.mode);
+  }
+
+  /** Where something was cut, patched or stitched: a click goes there; keys have the slider. @param {readonly Mark[]} marks @param {number} end */
+  #showMarks(marks, end) {
+    const list = find("time-marks");
+    if (marks !== this.#marks || language.value !== this.#markLanguage) {
+      this.#marks = marks;
+      this.#markLanguage = language.value;
+      this.#markEnd = 0;
+      list.replaceChildren(...marks.map(([step, kind]) => {
+        const mark = element("span", kind);
+        mark.title = say(`operate_mark_${kind}`, { time: figure(step * this.stepS, 2) });
+        mark.addEventListener("click", () => {
+          this.#wanted = step;
+          void this.#go();
+        });
+        return mark;
+      }));
+    }
+    // what is pointed at stays the same element while time goes on
+    if (end === this.#markEnd) return;
+    this.#markEnd = end;
+    marks.forEach(([step], n) => (/** @type {HTMLElement} */ (list.children[n]).style.left = `${(100 * step) / end}%`));
   }
 
   /** @param {string} mode */
