@@ -17,7 +17,7 @@ from heartcase.studio.messages import told
 from heartcase.studio.operating.beside import Beside
 from heartcase.studio.operating.ending import problems_at
 
-__all__ = ["PageOf", "SavedPage"]
+__all__ = ["PageOf", "SavedPage", "told_seldom"]
 
 PageOf = Callable[[Path, Sequence[Path], Callable[[float], None]], tuple[bytes, list[str]]]
 """Makes the file of a case and its recordings, and says what is wrong with it; a process beside must find it. It tells

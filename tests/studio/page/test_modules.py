@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.studio.serving.app import PAGE
 
 TESTS = sorted(Path(__file__).parent.glob("*.test.mjs"))
@@ -37,6 +38,11 @@ def test_all_imports_are_there():
     for file in sorted(PAGE.rglob("*.js")):
         for target in re.findall(r'^(?:import|export) .*from "(.+)";$', file.read_text(encoding="utf-8"), re.MULTILINE):
             assert (file.parent / target).is_file(), (file.name, target)
+
+
+def test_what_every_case_says_of_its_use_has_words_in_each_language():
+    notice = CaseManifest.model_fields["notice"].default
+    assert f'case_notice: "{notice}"' in (PAGE / "words" / "en.js").read_text()
 
 
 def test_types_fit():

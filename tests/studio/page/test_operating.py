@@ -377,6 +377,7 @@ def test_axe_finds_nothing_on_the_page_that_operates(chromium, operated):
 def test_that_nobody_approved_the_case_stands_on_the_page_until_somebody_does(chromium, operated):
     with browsing(chromium, operated, locale="de-DE") as page:
         assert page.text("#draft-case").startswith("Entwurf: Niemand hat diesen Fall freigegeben")
+        assert page.text("#not-device").startswith("Kein Medizinprodukt. Nur für Lehre")
         approve_case(operated.recipe, role="paediatric cardiologist")
         page.tab.locator("#draft-case").wait_for(state="hidden")
         approve_case(operated.recipe, role="paediatric cardiologist", withdraw=True)

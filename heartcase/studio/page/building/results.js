@@ -2,7 +2,7 @@
 
 import { element } from "../panel/structures.js";
 import { distance } from "../pictures/geometry.js";
-import { figure, isWord, language, say, structureName } from "../shared/words.js";
+import { figure, isWord, language, say, showNotice, structureName } from "../shared/words.js";
 import { warningWords } from "./warning_words.js";
 
 /** @typedef {import("./build_tab.js").Case} Case */
@@ -70,7 +70,7 @@ export class Results {
   #draw() {
     const made = this.#case;
     if (made === null) return;
-    find("build-notice").textContent = made.notice;
+    showNotice(find("build-notice"), made.notice);
     find("report-link").hidden = !made.has_report;
     find("build-figures").textContent = say("build_figures", {
       nodes: figure(made.node_count, 0), cell: figure(made.cell_mm, 2), ml: figure(made.tissue_volume_ml, 1),

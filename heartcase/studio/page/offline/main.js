@@ -9,7 +9,7 @@ import { Pointer } from "../operating/pointer.js";
 import { showCursor, ToolBar } from "../operating/tool_bar.js";
 import { runTabs } from "../panel/tiles.js";
 import { runLanguage, runTheme, runWords } from "../shared/looks.js";
-import { figure, language, say } from "../shared/words.js";
+import { figure, language, say, showNotice } from "../shared/words.js";
 import { NoWebGpu, SpringEngine } from "../springs/engine.js";
 import { Lattice } from "../springs/lattice.js";
 import { SceneShower } from "../touring/scene.js";
@@ -426,7 +426,7 @@ async function run() {
   }
 
   find("case-name").textContent = facts.name;
-  find("not-device").textContent = facts.notice;
+  showNotice(find("not-device"), facts.notice);
   find("draft-case").hidden = facts.is_approved;
   panel.setStructures(colouring.listed());
   panel.showRecordings(data.recordings.map(({ name }) => name));

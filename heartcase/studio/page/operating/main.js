@@ -11,7 +11,7 @@ import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme, runWords, tellLost } from "../shared/looks.js";
 import { keep, kept } from "../shared/settings.js";
-import { figure, language, say } from "../shared/words.js";
+import { figure, language, say, showNotice } from "../shared/words.js";
 import { SceneShower } from "../touring/scene.js";
 import { TourPanel } from "../touring/tour_panel.js";
 import { arraysOf } from "./messages.js";
@@ -347,7 +347,7 @@ function run() {
   /** @param {Message} message */
   function begin(message) {
     find("case-name").textContent = find("case-name").title = message.name;
-    find("not-device").textContent = message.notice;
+    showNotice(find("not-device"), message.notice);
     find("draft-case").hidden = message.is_approved;
     tools = message.tools;
     sizes.clear();

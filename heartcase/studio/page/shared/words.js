@@ -71,6 +71,13 @@ export function structureName(name) {
   return name;
 }
 
+/** What a case says of its use, in the page's language where it is what all cases say. @param {HTMLElement} shown @param {string} notice as the case has it */
+export function showNotice(shown, notice) {
+  if (notice === english.case_notice) shown.dataset.word = "case_notice";
+  else delete shown.dataset.word;
+  shown.textContent = notice === english.case_notice ? say("case_notice") : notice;
+}
+
 /**
  * A number as the language writes it.
  * @param {number} value

@@ -135,6 +135,7 @@ export const words = {
   picture_of_view: "Bild: {view}",
   help_turn: "die anderen Ebenen um 5° drehen",
   start_not_device: "Kein Medizinprodukt.",
+  case_notice: "Kein Medizinprodukt. Nur für Lehre, Forschung und für Planung neben zugelassenen Mitteln.",
   start_open: "Öffnen",
   start_open_says: "Ein DICOM-Ordner, eine andere Aufnahme, ein Rezept oder ein Fall auf diesem Rechner. Nichts verlässt ihn.",
   start_path: "Ordner oder Datei",

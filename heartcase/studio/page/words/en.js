@@ -134,6 +134,7 @@ export const words = {
   picture_of_view: "Picture: {view}",
   help_turn: "turn the other planes by 5°",
   start_not_device: "Not a medical device.",
+  case_notice: "Not a medical device. For teaching, research and planning beside approved means only.",
   start_open: "Open",
   start_open_says: "A DICOM folder, another scan, a recipe or a case on this machine. Nothing leaves it.",
   start_path: "Folder or file",
