@@ -35,7 +35,7 @@ $(VENV)/installed: $(LOCK) pyproject.toml | same-python
 	touch $(VENV)/prepare-installed $@
 
 # Byte code of what a case takes: otherwise the first build and the processes that compile its kernels each make it.
-BYTE_CODE = $(BIN)/python -m compileall -q -j 0 heartcase -x /page/ && $(BIN)/python -c \
+BYTE_CODE = $(BIN)/python -m compileall -q -j 0 heartcase && $(BIN)/python -c \
 	'import click, edt, jinja2, numba, PIL.Image, pydantic, rich.progress, safetensors, scipy.ndimage, scipy.spatial, SimpleITK'
 
 # What building a case takes, without what only tests and benchmarks use.

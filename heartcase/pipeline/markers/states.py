@@ -81,11 +81,8 @@ def structure_states(still: StillSegmentation, *, places: StrokePlaces | None = 
     volumes = forest.label_counts() * (still.geometry.voxel_volume_mm3 / 1000.0)
     for value in sorted(marked & set(states)):
         right_count = sum(value in (one.label, one.rival) for one in right)
-        worth = (
-            2.0
-            / (right_count + 2.0)
-            * sum(place.worth_ml for place in places.places if value in (place.label, place.rival))
-        )
+        worth = sum(place.worth_ml for place in places.places if value in (place.label, place.rival))
+        worth *= 2.0 / (right_count + 2.0)
         is_unsure = worth > 0.0 and worth >= UNSURE_SHARE * volumes[value]
         states[value] = StructureState.UNSURE if is_unsure else StructureState.CONFIDENT
     return states

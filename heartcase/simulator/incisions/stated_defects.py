@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
 from math import pi, sqrt
 from typing import Any
 
@@ -14,6 +14,8 @@ from heartcase.schemas.landmarks import Landmark
 __all__ = ["landmarks_with_defects"]
 
 _SIDES = " - "
+_NAME_LENGTH = 56
+"""Letters at most; a number may follow."""
 
 
 def landmarks_with_defects(manifest: CaseManifest) -> tuple[Landmark, ...]:
@@ -32,12 +34,13 @@ def landmarks_with_defects(manifest: CaseManifest) -> tuple[Landmark, ...]:
     rings = [np.mean(one.points_mm, axis=0) for one in landmarks if one.kind == "ring"]
     names = {one.name.casefold() for one in landmarks}
     found = []
-    for one in manifest.quality.get("openings") or ():
+    openings = manifest.quality.get("openings")
+    for one in openings if isinstance(openings, list) else ():
         ring = _ring(one)
         if ring is None or any(np.linalg.norm(ring[0] - other) < 2.0 * ring[2] for other in rings):
             continue
         middle, axis, radius = ring
-        name, number = _called(one["between"]), 1
+        name, number = _called(one.get("between")), 1
         while (own := name if number == 1 else f"{name} {number}").casefold() in names:
             number += 1
         names.add(own.casefold())
@@ -53,7 +56,7 @@ def landmarks_with_defects(manifest: CaseManifest) -> tuple[Landmark, ...]:
     return (*landmarks, *found)
 
 
-def _ring(opening: Mapping[str, Any]) -> tuple[Any, Any, float] | None:
+def _ring(opening: Any) -> tuple[Any, Any, float] | None:
     """Middle, axis and radius, mm; None where they are not known."""
     try:
         if opening["verdict"] != "stated":
@@ -66,8 +69,8 @@ def _ring(opening: Mapping[str, Any]) -> tuple[Any, Any, float] | None:
     return (middle, axis, radius) if is_sound and axis.any() and radius > 0.0 else None
 
 
-def _called(between: list[str]) -> str:
-    """Both cavities, so short that it is a name: letters that no name may have are left out."""
-    names = [str(one).removeprefix("morphologically ") for one in between]
-    words = _SIDES.join(names)
-    return "".join(letter for letter in words if letter.isascii() and (letter.isalnum() or letter in " _.()+-"))[:56]
+def _called(between: Any) -> str:
+    """Both cavities, as a name of a landmark may be."""
+    names = [str(one).removeprefix("morphologically ") for one in between] if isinstance(between, list) else []
+    words = re.sub(r"[^A-Za-z0-9 _.()+-]", "", _SIDES.join(names))
+    return re.sub(r"^[^A-Za-z0-9]+", "", words)[:_NAME_LENGTH] or "defect"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from heartcase.schemas.bundle.approval import approval_log, approval_state
 from heartcase.schemas.bundle.format import MANIFEST_NAME
+from heartcase.schemas.errors import BundleError
 
 __all__ = ["WatchedApproval"]
 
@@ -28,10 +29,13 @@ class WatchedApproval:
         self._is_approved = False
 
     def is_approved(self) -> bool:
-        """Whether it is approved now, as it lies there."""
+        """Whether it is approved now, as it lies there; not where the system lets nobody look at it."""
         seen = (_seen(approval_log(self._case)), _seen(self._case / MANIFEST_NAME))
         if seen != self._seen:
-            self._is_approved = approval_state(self._case).state == "approved"
+            try:
+                self._is_approved = approval_state(self._case).state == "approved"
+            except BundleError:
+                self._is_approved = False
             self._seen = seen
         return self._is_approved
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +25,8 @@ OPEN_S = float(PlannedIncision.model_fields["open_s"].default)
 """Simulated time in which the lips are led apart, s."""
 _NAME_LENGTH_MAX = 64
 """Characters of an instrument's name at most."""
+_HAND = re.compile(r"(?:one|other) lip(?: \d+)?")
+"""What :func:`heartcase.simulator.incisions.planned.lip_hands` calls a hand."""
 
 
 class Incisions:
@@ -103,7 +106,7 @@ def is_held_open(live: LiveFrame, number: int = -1) -> bool:
         return False
     number %= len(live.cuts)
     begin = _hand_name(live.cuts[number].name, number, "")
-    return any(name.startswith(begin) for name in live.frame.instruments)
+    return any(name.startswith(begin) and _HAND.fullmatch(name, len(begin)) for name in live.frame.instruments)
 
 
 def _hand_name(cut: str, number: int, hand: str) -> str:

@@ -135,6 +135,7 @@ function run() {
       preview.refresh();
       shapePanel.tellLumens();
       structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
+      guide.forget();
       guide.tell(message.checklist ?? [], message.marked ?? []);
     } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
     else if (message.kind === "shape") {
@@ -151,7 +152,6 @@ function run() {
       studio.redoKind.value = message.redo_kind;
       studio.saved.value = message.saved;
       seen.tell(message.rest === true, true);
-      guide.forget();
     } else if (message.kind === "seen") seen.tell(message.rest === true);
     else if (message.kind === "failed") {
       connection.end();

@@ -64,5 +64,15 @@ def test_a_case_of_an_older_build_has_none():
     assert of(None) == (APEX,)
     old = {name: value for name, value in STATED.items() if name not in ("middle_mm", "axis")}
     assert of([old]) == (APEX,)
-    names = STATED | {"between": ["Herz-Kammer ä", "x" * 80]}
-    assert len(of([names])[1].name) <= 64
+
+
+@pytest.mark.parametrize(
+    "between", [["Herz-Kammer ä", "x" * 80], ["ä (rest)", "(b)"], ["ä"], [], [7, None], "lv", None]
+)
+def test_whatever_the_cavities_are_called_it_has_a_name(between):
+    assert 0 < len(of([STATED | {"between": between}])[1].name) <= 64
+
+
+@pytest.mark.parametrize("openings", [7, "stated", {"verdict": "stated"}, [None, 7, "stated", []]])
+def test_figures_that_no_build_writes_are_left_out(openings):
+    assert of(openings) == (APEX,)

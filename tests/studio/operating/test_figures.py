@@ -11,7 +11,7 @@ import pytest
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.simulator.beside.figures_worker import LiveFigures, figures_of
 from heartcase.simulator.incisions.figures import IncisionFigures
-from heartcase.studio.operating.incisions import Incisions
+from heartcase.studio.operating.incisions import Incisions, is_held_open
 from heartcase.studio.operating.live_figures import ShownFigures, told_figures
 from tests.hollow_case import hollow_case
 from tests.simulator.live.scenes import load, until
@@ -129,6 +129,19 @@ def test_names_of_hands_are_names_of_the_format(hollow):
     cut = incisions.cut("lid").model_copy(update={"name": "l" * 64})
     names = {close.name for number in range(2) for close, _, _ in incisions.hands(cut, 11 * number)}
     assert len(names) == 8
+
+
+def test_a_cut_is_held_open_by_its_own_hands_alone(hollow):
+    _, opened = hollow
+    incisions = Incisions(load(opened.path))
+    # the hands of the second begin like those of the first
+    cuts = [incisions.cut("lid").model_copy(update={"name": name}) for name in ("lid", "lid 1", "lid")]
+    for number, cut in enumerate(cuts):
+        held = {close.name: None for close, _, _ in incisions.hands(cut, number)}
+        live = SimpleNamespace(cuts=tuple(cuts), frame=SimpleNamespace(instruments=held))
+        assert [is_held_open(live, other) for other in range(3)] == [other == number for other in range(3)]
+        assert is_held_open(live) == (number == 2)
+    assert not is_held_open(SimpleNamespace(cuts=(), frame=SimpleNamespace(instruments=held)))
 
 
 def test_a_page_that_goes_ends_what_was_worked_out_for_it(hollow):

@@ -363,8 +363,9 @@ def test_volumes_the_checklist_and_the_next_place(chromium, painted):
         assert "Background" in page.text("#checklist .done:first-child")
         page.tab.keyboard.press("n")
         page.tab.locator("#place strong, #place:text-matches('unsure')").first.wait_for(timeout=60_000)
-        found = session.suggest(count=5).places
+        found = session.suggest(count=12).places
         if found:
+            page.tab.locator("#place").get_by_text(f"Place 1 of {len(found)}").wait_for()
             page.tab.mouse.move(5, 5)
             position = page.text("#under")
             mm = found[0].position_mm
@@ -374,6 +375,9 @@ def test_volumes_the_checklist_and_the_next_place(chromium, painted):
             page.tab.keyboard.press("r")
             until(lambda: next(path.parent.rglob("*.right.json"), None) is not None)
             page.tab.locator("#place strong, #place:text-matches('unsure')").first.wait_for(timeout=60_000)
+            if len(found) > 1:
+                # one after the other, of those that were found together
+                page.tab.locator("#place").get_by_text(f"Place 1 of {len(found) - 1}").wait_for()
 
 
 def test_two_pages_follow_one_another(chromium, painted):

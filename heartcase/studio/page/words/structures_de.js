@@ -1,4 +1,4 @@
-/** What structures, vessels and landmarks of the vocabulary are called in German. */
+/** What structures of the vocabulary, and the coronary arteries, are called in German. */
 
 /** By their English names in lower case; other names stay as they are. @type {Record<string, string>} */
 export const structures = {
@@ -28,11 +28,6 @@ export const structures = {
   "right coronary artery": "rechte Koronararterie",
   "left anterior descending artery": "Ramus interventricularis anterior",
   "left circumflex artery": "Ramus circumflexus",
-  "tricuspid valve": "Trikuspidalklappe",
-  "pulmonary valve": "Pulmonalklappe",
-  "mitral valve": "Mitralklappe",
-  "aortic valve": "Aortenklappe",
-  "apex": "Herzspitze",
 };
 /** A wall that was grown around a structure, and one between two that nobody saw. */
 export const wallOf = (/** @type {string} */ name) => `Wand: ${name}`;
