@@ -13,7 +13,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 LOCK ?= requirements.lock
 
-.PHONY: case test thorough check format lint types imports docs plain bench versions lowest newest gpu lock clean same-python
+.PHONY: installed reference case test thorough check format lint types imports docs plain bench versions lowest newest gpu lock clean same-python
 
 # An environment keeps the Python that it was made with: it is not used where another one is asked for.
 # No comma may stand in the script: make would end the argument of its $(if) there.
@@ -101,6 +101,14 @@ versions: $(VENV)/installed
 	rm -rf $(VENV)/numba-cache
 	NUMBA_CACHE_DIR=$(VENV)/numba-cache HEARTCASE_VERSIONS=out/versions HEARTCASE_OTHER_PACKAGES=$(OTHER_PACKAGES) \
 	$(BIN)/python -m pytest -s -m 'not slow' -p no:cacheprovider $(if $(OTHER_PACKAGES),-W ignore) $(BESIDE) tests/compiling/test_every_kernel.py
+
+# The environment alone.
+installed: $(VENV)/installed
+
+# What `make versions` of other Pythons compares with, from kernels that are there already.
+reference: $(VENV)/installed
+	HEARTCASE_VERSIONS=out/versions $(BIN)/python -m pytest -s -m 'not slow' -p no:cacheprovider \
+	  tests/compiling/test_every_kernel.py::test_the_others_found_the_same
 
 lowest:
 	$(MAKE) versions VENV=$(VENV)-lowest LOCK=requirements-lowest.lock OTHER_PACKAGES=1

@@ -16,6 +16,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 
 from heartcase.compiling.compile_lock import compiled_by_one
 from heartcase.compiling.loops import LoopKernel
+from heartcase.compiling.shape_errors import short_shape_errors
 from heartcase.compiling.sources import source_stamp
 
 __all__ = ["KERNELS", "cache_folder", "kernel", "loop_kernel", "write_unfinished_to"]
@@ -80,7 +81,13 @@ def _compiled(function: Callable[..., Any], *, cached: bool, options: dict[str, 
                 dispatcher._cache = _KernelCache(function)
             return os.path.join(dispatcher._cache.cache_path, f"{dispatcher._cache._impl.filename_base}.lock")
 
-        dispatcher.compile = compiled_by_one(dispatcher.compile, dispatcher.overloads.__contains__, lock)
+        compile_it = dispatcher.compile
+
+        def compile_shortly(signature: Any) -> Any:
+            with short_shape_errors():
+                return compile_it(signature)
+
+        dispatcher.compile = compiled_by_one(compile_shortly, dispatcher.overloads.__contains__, lock)
     return dispatcher
 
 
