@@ -67,6 +67,8 @@ class Progress:
     """Kernels of the list."""
     seconds_left: float
     """Estimate, from how fast it went so far."""
+    is_measured: bool = True
+    """Whether it went far enough for that; the estimate is that of the list's machine until then."""
 
 
 def core_count() -> int:
@@ -226,9 +228,10 @@ class _ProcessTeam:
         left = self.all_seconds - self.done_seconds
         # At first, how long it takes is known from the machine of the list only.
         pace = 1.0 / self.process_count
-        if self.done_seconds > _FIRST_SECONDS:
+        is_measured = self.done_seconds > _FIRST_SECONDS
+        if is_measured:
             pace = (time.monotonic() - self.started) / self.done_seconds
-        return Progress(len(self.done), self.failed_count, self.total, left * pace)
+        return Progress(len(self.done), self.failed_count, self.total, left * pace, is_measured)
 
 
 def _start(unfinished: str, *, is_behind: bool = False) -> subprocess.Popen[str]:

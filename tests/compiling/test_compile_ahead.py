@@ -182,6 +182,7 @@ def test_what_cannot_be_compiled_ahead_is_left_to_its_caller(tmp_path, monkeypat
             time.sleep(0.01)
     assert [(one.done, one.total) for one in heard] == [(0, 1), (0, 1)]
     assert heard[0].seconds_left == 2.0
+    assert not heard[0].is_measured
     assert not (tmp_path / "note").exists()
 
 

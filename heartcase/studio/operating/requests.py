@@ -22,6 +22,7 @@ __all__ = [
     "Figures",
     "Hide",
     "HoldOpen",
+    "LeavePage",
     "LetGo",
     "Look",
     "Plane",
@@ -331,6 +332,13 @@ class SavePage(_Asked):
     """Names that were given for them."""
 
 
+class LeavePage(_Asked):
+    """Leave the page that is being saved."""
+
+    do: Literal["leave_page"]
+    """Which request."""
+
+
 class Rename(_Asked):
     """Give a recording another name."""
 
@@ -387,6 +395,7 @@ Request = (
     | HoldOpen
     | Compare
     | SavePage
+    | LeavePage
     | Rename
     | Device
     | Seen

@@ -66,6 +66,11 @@ class SavedPage:
         if self._facts.get("state") == "working":
             self._facts = {}
 
+    def leave(self) -> None:
+        """Leave what is being saved, and tell the pages."""
+        self.close()
+        self._heard()
+
     @property
     def facts(self) -> dict[str, Any]:
         """What pages are told: nothing where no page was saved; else its state, what is done, name, size, problems."""

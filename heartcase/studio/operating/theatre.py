@@ -25,6 +25,7 @@ from heartcase.studio.operating.requests import (
     Compare,
     Device,
     Figures,
+    LeavePage,
     Replay,
     SavePage,
     Seen,
@@ -46,7 +47,9 @@ from heartcase.studio.touring.found_tours import tour_folders
 __all__ = ["Origin", "Theatre"]
 
 T = TypeVar("T")
-_InTurn = OwnAct | Tours | TourTo | Replay | Begin | Strain | Coarser | Figures | Compare | SavePage | Device
+_InTurn = (
+    OwnAct | Tours | TourTo | Replay | Begin | Strain | Coarser | Figures | Compare | SavePage | LeavePage | Device
+)
 """Requests that are carried out one after the other."""
 
 _SOFTLY_S = 20.0
@@ -316,6 +319,8 @@ class Theatre:
             case SavePage():
                 names = await self._run(lambda: [stage.known(name) for name in request.names])
                 await self._run(lambda: self.saved.save(names))
+            case LeavePage():
+                await self._run(self.saved.leave)
             case Device():
                 if request.name is None:
                     await self._run(stage.detach)

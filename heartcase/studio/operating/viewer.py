@@ -242,7 +242,13 @@ def described(live: LiveFrame) -> dict[str, Any]:
             for name, one in frame.stitches.items()
         ],
         "patches": [
-            {"name": name, "force_n": float(np.max(one.forces_n, initial=0.0))} for name, one in frame.patches.items()
+            {
+                "name": name,
+                "force_n": float(np.max(one.forces_n, initial=0.0)),
+                "stitch_count": len(one.forces_n),
+                "area_mm2": one.area_mm2,
+            }
+            for name, one in frame.patches.items()
         ],
     }
 

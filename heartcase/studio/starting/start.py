@@ -156,7 +156,9 @@ class Start:
         if progress is None:
             return text_message("compiling", fraction=None, seconds_left=None)
         fraction = (progress.done + progress.failed) / progress.total
-        return text_message("compiling", fraction=fraction, seconds_left=progress.seconds_left)
+        # what this machine has not shown yet would grow from one look to the next
+        seconds_left = progress.seconds_left if progress.is_measured else None
+        return text_message("compiling", fraction=fraction, seconds_left=seconds_left)
 
     def _tell_of_compiling(self) -> None:
         loop = self._loop

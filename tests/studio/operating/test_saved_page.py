@@ -21,6 +21,12 @@ def told(page):
     return found[-1]
 
 
+def until(page, is_meant):
+    """Wait until a page was told this of the page that is saved."""
+    while not any(one["kind"] == "saved_page" and is_meant(one) for one in page.told):
+        page.next()
+
+
 def test_a_case_is_saved_as_the_command_exports_it(recorded):  # noqa: F811
     path, _ = recorded
     (path.parent / "hollow.html").write_text("mine")
@@ -59,6 +65,23 @@ def test_a_case_is_saved_as_the_command_exports_it(recorded):  # noqa: F811
         assert lost["problems"]
         assert str(path.parent) not in json.dumps(lost)
         assert not (path.parent / "hollow-3.html").exists()
+
+
+def test_a_page_that_is_being_saved_can_be_left(recorded):  # noqa: F811
+    path, _ = recorded
+    before = {one.name for one in path.parent.glob("*.html")}
+    with theatre(path, path.parent) as (browser, opened), operator(browser, opened) as page:
+        page.done("save_page", names=["wide.recording"])
+        until(page, lambda one: one.get("state") == "working")
+        page.told.clear()
+        page.done("leave_page")
+        until(page, lambda one: "state" not in one and "fraction" not in one)
+        # nothing to leave any more, and another can be saved
+        page.done("leave_page")
+        page.told.clear()
+        page.done("save_page")
+        assert told(page)["state"] == "saved"
+    assert len({one.name for one in path.parent.glob("*.html")} - before) == 1
 
 
 def test_a_page_that_cannot_be_written_is_told(recorded, tmp_path):  # noqa: F811

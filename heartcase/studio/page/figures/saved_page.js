@@ -12,9 +12,10 @@ export class SavedPage {
   /** @type {Message | null} */
   #message = null;
 
-  /** @param {() => void} save @param {string} address of what was saved */
-  constructor(save, address) {
+  /** @param {() => void} save @param {() => void} leave @param {string} address of what was saved */
+  constructor(save, leave, address) {
     find("save-page").addEventListener("click", save);
+    find("save-page-cancel").addEventListener("click", leave);
     /** @type {HTMLAnchorElement} */ (find("saved-page")).href = address;
     language.follow(() => this.#fill());
   }
@@ -29,13 +30,13 @@ export class SavedPage {
     const { state, fraction, name, byte_count: byteCount, problems } = /** @type {Record<string, any>} */ (this.#message ?? {});
     /** @type {HTMLButtonElement} */ (find("save-page")).disabled = state === "working";
     const bar = /** @type {HTMLProgressElement} */ (find("save-page-bar"));
-    bar.hidden = state !== "working";
+    bar.hidden = find("save-page-cancel").hidden = state !== "working";
     if (fraction === undefined) bar.removeAttribute("value");
     else bar.value = fraction;
     const link = find("saved-page");
     link.hidden = state !== "saved";
     link.textContent = state === "saved" ? say("save_page_take", { name }) : "";
-    const said = state === "working" ? say("save_page_working")
+    const said = state === "working" ? say("save_page_working", { percent: figure(100 * (fraction ?? 0), 0) })
       : state === "saved" ? say("save_page_saved", { name, mb: figure(byteCount / 1e6, 1) })
       : state === "failed" ? say("save_page_failed") : "";
     find("save-page-state").replaceChildren(said, ...(problems?.length ? [problemList(problems)] : []));

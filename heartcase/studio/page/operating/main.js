@@ -80,7 +80,7 @@ function run() {
     },
     replay,
   });
-  const saving = new SavedPage(() => ask({ do: "save_page", names: plans.chosen.slice(0, 6) }), location.pathname.replace("/operate/", "/saved/"));
+  const saving = new SavedPage(() => ask({ do: "save_page", names: plans.chosen.slice(0, 6) }), () => ask({ do: "leave_page" }), location.pathname.replace("/operate/", "/saved/"));
   const plans = new Plans({
     ask,
     replay,
@@ -241,6 +241,12 @@ function run() {
         answered(answer);
       }, fault);
     },
+    holdLast: () => {
+      if (!isReady) return;
+      const request = { do: "hold_open", incision: Math.max((open.header?.cut_count ?? 0) - 1, 0) };
+      toolBar.tellHolding(true);
+      connection.ask(request).then(answered, fault).finally(() => toolBar.tellHolding(false));
+    },
     letGoAll: () => (forget(), ask({ do: "let_go", everything: true })),
     pause: () => ask(beside.pauseOrGoOn()),
     record: () => ask({ do: open.header?.recording ? "stop_recording" : "record" }),
@@ -262,7 +268,7 @@ function run() {
   /** @type {[string, () => void][]} */
   const clicks = [
     ["undo", actions.undo], ["redo", actions.redo], ["let-go", () => actions.letGo(false)], ["let-go-all", actions.letGoAll],
-    ["hold-last", () => ask({ do: "hold_open", incision: Math.max((open.header?.cut_count ?? 0) - 1, 0) })], ["tie", actions.tie],
+    ["hold-last", actions.holdLast], ["tie", actions.tie],
     ["back", actions.back], ["pause", actions.pause], ["play", actions.play], ["record", actions.record],
     ["smaller", () => actions.resize(-1)], ["larger", () => actions.resize(1)], ["reset-view", actions.reset],
     ["begin", () => (forget(), ask({ do: "begin" }))], ["tab-recordings", () => ask({ do: "recordings" })],
@@ -445,11 +451,15 @@ function run() {
     find("let-go-all").hidden = header.instruments.length < 2;
     find("hold-last").hidden = !header.can_hold_open;
     find("tie").hidden = !header.stitches.some((/** @type {any} */ one) => !one.tied);
-    find("record").setAttribute("aria-pressed", String(header.recording !== null));
+    toolBar.tellRecording(header.recording !== null);
     const cutting = header.cutting > 0 ? say("operate_cutting") : "";
     const pace = header.pace === null ? "" : say("operate_pace", { pace: figure(header.pace, 2) });
     find("pace").textContent = [cutting, pace].filter(Boolean).join("   ");
     if (before?.recording && !header.recording) ask({ do: "recordings" });
+    if (before?.mode === "running" && header.mode === "running" && header.patches.length === before.patches.length + 1) {
+      const { stitch_count: count, area_mm2: area } = header.patches[header.patches.length - 1];
+      notice("", [{ place: "", message: say("operate_patched", { count: String(count), area: figure(area, 0) }) }]);
+    }
     const isOpen = isOpening && header.mode === "playing";
     if (isOpen || (noticeUntil > 0 && performance.now() > noticeUntil)) notice("", []);
   }

@@ -41,6 +41,24 @@ export class ToolBar {
     }
   }
 
+  /** @param {boolean} isRecording what the button of recordings does then: end it */
+  tellRecording(isRecording) {
+    const button = find("record"), word = isRecording ? "operate_stop_recording" : "operate_record";
+    button.classList.toggle("is-on", isRecording);
+    const words = /** @type {HTMLElement} */ (button.querySelector("span"));
+    if (words.dataset.word === word) return;
+    words.dataset.word = word;
+    words.textContent = say(word);
+  }
+
+  /** @param {boolean} isBegun whether hands were asked for that hold the last cut open, and are still to close */
+  tellHolding(isBegun) {
+    const button = /** @type {HTMLButtonElement} */ (find("hold-last"));
+    button.disabled = isBegun;
+    button.dataset.word = isBegun ? "operate_holding" : "figures_hold";
+    button.textContent = say(isBegun ? "operate_holding" : "figures_hold");
+  }
+
   /** @param {number | null} size of what is in hand; null where it has none @param {number} [digits] behind the point */
   tellSize(size, digits = 0) {
     for (const id of ["smaller", "larger"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = size === null;

@@ -92,8 +92,9 @@ export function positionText(mm, between = "  ") {
   return mm.map((value, axis) => `${SIDES[2 * axis + (value < 0 ? 0 : 1)]} ${figure(Math.abs(value), 1)}`).join(between);
 }
 
-/** How long something still takes, in words. @param {number} seconds */
+/** How long something still takes, in words. @param {number | null} seconds null where that is not known yet */
 export function timeLeft(seconds) {
+  if (seconds === null) return say("start_compiling_some");
   const minutes = Math.ceil(seconds / 60);
   return say(minutes > 1 ? "start_compiling_left" : "start_compiling_soon", { minutes: String(minutes) });
 }
