@@ -110,6 +110,7 @@ def test_a_story_by_mouse(chromium, operated):
         before = picture(page)
         tab.locator("#record").click()
         hands.until(lambda header: header["recording"] == "block-1.recording")
+        until(lambda: page.text("#record") == "Stop recording")
         tab.locator("#tab-forces").click()
         # pulled to the side by 5 mm: the tissue follows the pointer
         tab.keyboard.press("g")
@@ -146,6 +147,7 @@ def test_a_story_by_mouse(chromium, operated):
         end = operated.live.newest.frame.step
         tab.locator("#record").click()
         hands.until(lambda header: header["recording"] is None)
+        until(lambda: page.text("#record") == "Record")
         # replayed, looked at anywhere, and taken over
         tab.locator("#tab-recordings").click()
         tab.locator("#recordings button").first.click()
@@ -177,6 +179,39 @@ def test_a_story_by_mouse(chromium, operated):
         assert {one.command.kind for one in stored.entries} >= {"close_grab", "open_grab", "cut"}
         kept = json.dumps(tab.evaluate("() => ({...localStorage})"))
         assert "block" not in kept
+
+
+def test_hands_that_hold_open_and_a_patch_say_so(chromium, operated):
+    with browsing(chromium, operated, viewport={"width": 1366, "height": 768}) as page:
+        hands, tab = Hands(page), page.tab
+        hands.from_above()
+        tab.keyboard.press("c")
+        hands.drag((18.3, -20.0, 40.5), (18.3, -17.0, 40.5), (18.3, -13.0, 40.5), (18.3, -9.0, 40.5))
+        tab.mouse.up()
+        hands.until(lambda header: header["cut_count"] == 1)
+        tab.locator("#hold-last").wait_for()
+        told = tab.evaluate(
+            "() => new Promise((told) => { const button = document.getElementById('hold-last');"
+            "new MutationObserver(() => told(button.textContent)).observe(button, {childList: true});"
+            "button.click(); })"
+        )
+        assert told == "Opening …"
+        hands.until(lambda header: len(header["instruments"]) >= 2)
+        until(lambda: page.text("#hold-last") == "Hold open" or tab.locator("#hold-last").is_hidden())
+        tab.locator("#let-go-all").click()
+        hands.until(lambda header: not header["instruments"])
+        # a patch on tissue that is whole
+        tab.keyboard.press("e")
+        around = 2 * np.pi * np.arange(25) / 24
+        ring = np.stack([24.0 + 4.0 * np.cos(around), -14.0 + 4.0 * np.sin(around), np.full(25, 40.5)], axis=1)
+        hands.drag(*ring)
+        tab.mouse.up()
+        (patch,) = hands.until(lambda header: header["patches"])["patches"]
+        assert patch["stitch_count"] > 8
+        assert 0.5 * np.pi * 16 < patch["area_mm2"] < 1.5 * np.pi * 16
+        until(lambda: "The patch is sewn on" in page.text("#notice-words"))
+        said = f"{patch['stitch_count']} stitches, {patch['area_mm2']:.0f} mm²"
+        assert said in page.text("#notice-words")
 
 
 def test_by_keys_alone_what_is_hidden_and_a_server_that_is_gone(chromium, operated):

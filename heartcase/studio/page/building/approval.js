@@ -94,7 +94,7 @@ export class Approval {
     find("approve-missing").textContent = isApproved ? "" : this.#missing(made).join(" ");
     find("approve-compared-part").hidden = isApproved;
     find("approve").hidden = isApproved;
-    find("withdraw").hidden = !isApproved;
+    find("withdraw").hidden = find("operate-approved").hidden = !isApproved;
     /** @type {HTMLButtonElement} */ (find("approve")).disabled = !this.#mayApprove;
     /** @type {HTMLButtonElement} */ (find("withdraw")).disabled = this.#isBusy || this.#isAsking || field("approve-role").value.trim() === "";
   }

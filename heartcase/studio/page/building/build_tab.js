@@ -58,7 +58,7 @@ export class BuildTab {
     /** @type {HTMLAnchorElement} */ (find("report-link")).href = location.pathname.replace("/prepare/", "/report/");
     find("build").addEventListener("click", () => void this.#ask({ do: "build" }));
     find("build-cancel").addEventListener("click", () => void this.#ask({ do: "cancel" }));
-    for (const id of ["operate", "operate-above"]) find(id).addEventListener("click", () => void this.#ask({ do: "operate" }));
+    for (const id of ["operate", "operate-above", "operate-approved"]) find(id).addEventListener("click", () => void this.#ask({ do: "operate" }));
     find("report-link").addEventListener("click", () => this.approval.reportWasOpened());
     this.connection.state.listen(() => this.#draw());
     language.listen(() => this.#draw());
@@ -98,7 +98,7 @@ export class BuildTab {
     document.body.dataset.building = String(isRunning);
     find("build").hidden = isRunning;
     find("build-cancel").hidden = !isRunning;
-    for (const id of ["build", "build-cancel", "operate", "operate-above"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = !isOpen;
+    for (const id of ["build", "build-cancel", "operate", "operate-above", "operate-approved"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = !isOpen;
     find("build").textContent = say(made ? "build_again" : "build_now");
     find("build-age").textContent = isRunning ? say("build_running") : this.#age(state);
     find("build-age").dataset.age = made && !isRunning ? state.age : "none";
