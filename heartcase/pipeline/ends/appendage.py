@@ -1,7 +1,9 @@
 """Telling the appendage of an atrium from its veins.
 
 An appendage lies on the heart: towards the atrium's valve, on other chambers, and beside a great artery. Veins lead
-away from it, but a lower one may run close behind a ventricle.
+away from it, but a lower one may run close behind a ventricle. Where a great artery's root is labelled as the ventricle
+below it, the artery is further away than it seems: what leads forwards is no vein all the same, as these come from
+behind, from above or from below.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ that to the valve, and the tip is nearer to another chamber than this plus the a
 ball in the atrium."""
 ARTERY_SHARE = 1.5
 """Its tip is nearer to a great artery than this, in the same radii, where there is one in the labels."""
+FORWARDS = 0.4
+"""Cosine between that way and the patient's front from which the tip need not be near a great artery."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,11 @@ class Surroundings:
         cosine = np.cos(np.radians(angle_between(valve - middle, tip - middle)))
         if cosine <= 0.0 or self._distance(self.chambers, tip) >= (APPENDAGE_SHARE + cosine) * widest_mm:
             return False
-        return not self.arteries or self._distance(self.arteries, tip) < ARTERY_SHARE * widest_mm
+        # towards the front is -y in LPS
+        forwards = (middle[1] - tip[1]) / np.linalg.norm(tip - middle)
+        if not self.arteries or forwards > FORWARDS:
+            return True
+        return self._distance(self.arteries, tip) < ARTERY_SHARE * widest_mm
 
     def _distance(self, values: Sequence[int], point: Float64) -> float:
         """Distance of the nearest voxel of some labels, mm."""

@@ -45,7 +45,7 @@ def _compute(work: Work) -> Structures:
 
 STAGE = Stage(
     name="walls",
-    version=16,
+    version=17,
     title="distance fields and walls",
     deed="grow the walls",
     subject="walls and outlines",
