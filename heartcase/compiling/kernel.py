@@ -83,11 +83,11 @@ def _compiled(function: Callable[..., Any], *, cached: bool, options: dict[str, 
 
         compile_it = dispatcher.compile
 
-        def compile_shortly(signature: Any) -> Any:
+        def with_short_errors(signature: Any) -> Any:
             with short_shape_errors():
                 return compile_it(signature)
 
-        dispatcher.compile = compiled_by_one(compile_shortly, dispatcher.overloads.__contains__, lock)
+        dispatcher.compile = compiled_by_one(with_short_errors, dispatcher.overloads.__contains__, lock)
     return dispatcher
 
 

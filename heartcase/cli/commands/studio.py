@@ -24,7 +24,8 @@ __all__ = ["command"]
     "--out",
     type=OutputPath(is_folder=True),
     default=Path(),
-    help="Where the case goes, with the build's cache; here by default.",
+    help="Where the case of PATH goes, with the build's cache; here by default. What is chosen on the start page goes "
+    "beside its recipe.",
 )
 @click.option(
     "--recipe",

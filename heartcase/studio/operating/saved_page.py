@@ -46,6 +46,7 @@ class SavedPage:
     def __init__(self, case: Path, out: Path, page_of: PageOf, heard: Callable[[], None]) -> None:
         self._case, self._out, self._page_of, self._heard = case, out, page_of, heard
         self._facts: dict[str, Any] = {}
+        self._saved: dict[str, Any] = {}
         self._beside = Beside("page")
         self.file: Path | None = None
         """The file that was saved last."""
@@ -64,10 +65,10 @@ class SavedPage:
         """Leave what is being saved."""
         self._beside.end()
         if self._facts.get("state") == "working":
-            self._facts = {}
+            self._facts = self._saved
 
     def leave(self) -> None:
-        """Leave what is being saved, and tell the pages."""
+        """Leave what is being saved, and tell the pages; what was saved before is still to be had."""
         self.close()
         self._heard()
 
@@ -107,6 +108,8 @@ class SavedPage:
 
     def _tell(self, **facts: Any) -> None:
         self._facts = facts
+        if facts["state"] == "saved":
+            self._saved = facts
         self._heard()
 
 

@@ -80,7 +80,14 @@ def test_a_page_that_is_being_saved_can_be_left(recorded):  # noqa: F811
         page.done("leave_page")
         page.told.clear()
         page.done("save_page")
-        assert told(page)["state"] == "saved"
+        saved = told(page)
+        assert saved["state"] == "saved"
+        # what was saved can still be had where the next is left
+        page.told.clear()
+        page.done("save_page", names=["wide.recording"])
+        until(page, lambda one: one.get("state") == "working")
+        page.done("leave_page")
+        assert told(page) == saved
     assert len({one.name for one in path.parent.glob("*.html")} - before) == 1
 
 

@@ -61,9 +61,9 @@ function run() {
 
   /** @param {Record<string, unknown> & {do: string}} request */
   const ask = (request) => {
-    if (!isReady) return;
+    if (!isReady) return undefined;
     beside.pass(request);
-    connection.ask(request).then(answered, fault);
+    return connection.ask(request).then(answered, fault);
   };
   const beside = new Beside(picture, {
     askMain: (request) => connection.ask(request).then(answered, fault),
@@ -242,10 +242,10 @@ function run() {
       }, fault);
     },
     holdLast: () => {
-      if (!isReady) return;
-      const request = { do: "hold_open", incision: Math.max((open.header?.cut_count ?? 0) - 1, 0) };
+      const answer = ask({ do: "hold_open", incision: Math.max((open.header?.cut_count ?? 0) - 1, 0) });
+      if (answer === undefined) return;
       toolBar.tellHolding(true);
-      connection.ask(request).then(answered, fault).finally(() => toolBar.tellHolding(false));
+      answer.finally(() => toolBar.tellHolding(false));
     },
     letGoAll: () => (forget(), ask({ do: "let_go", everything: true })),
     pause: () => ask(beside.pauseOrGoOn()),
