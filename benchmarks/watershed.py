@@ -49,8 +49,9 @@ def prepare(params: dict[str, Any]) -> Inputs:
         filtered.geometry.spacing_mm,
         gradient_sigma_mm=settings.gradient_sigma_mm,
         shape_sigma_mm=settings.shape_sigma_mm,
-        noise_floor=settings.noise_floor,
-    )
+        # no peer divides what is flat, so there is nothing to compare over a floor
+        noise_floor=0.0,
+    ).height
     markers = source.markers.labels
     if labels == "shuffled":
         strokes = cc3d.connected_components(np.where(markers == UNMARKED, 0, markers + np.int32(1)))

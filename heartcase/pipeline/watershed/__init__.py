@@ -11,8 +11,9 @@ What it computes, exactly
 
     One rule comes before it. A flat minimum (voxels of one height that hang together and have no lower neighbour)
     which is marked with two labels or more is divided first: each of its voxels takes the label of the marked voxel
-    with the fewest steps to it inside the flat; of equal ones, of the neighbour with the lowest index that is a step
-    nearer. So two floods meet half way, where a fixed order of the faces would give nearly all to one of them.
+    from which the way inside the flat costs least; of equal ones, of the neighbour with the lowest index through which
+    a cheapest way leads. What a step costs comes with the landscape. So two floods meet half way, or where the steps
+    are dear, and a fixed order of the faces would give nearly all to one of them.
 
 Why it is fast
     Under this order every voxel's own lowest face leads to its lowest neighbour, so without markers the minimum

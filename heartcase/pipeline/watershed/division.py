@@ -1,12 +1,16 @@
-"""Division of flat minima that several labels mark: half way, by steps (a first-in first-out flood), and its mending.
+"""Division of flat minima that several labels mark: each voxel goes to the marked one at the least distance.
 
-A marked voxel is at step 1, and every other one a step more than its nearest neighbour. Its label is that of its
-neighbour one step nearer, of several the one with the lowest index. So what a stroke changes is found from it outwards,
-in the order of the steps, and all else in the flat stays: a stroke in a million flat voxels costs what it changes.
+The *distance* of a marked voxel is 1. That of every other one is the least over its neighbours of the neighbour's own
+and the cost of the step: the voxel's cost times that of the axis, both of the tree. Its label is that of the neighbour
+that gives this distance, of several the one with the lowest index. These are shortest ways, as Dijkstra finds them
+(Numerische Mathematik 1, 1959), in buckets by their lengths (Dial, Communications of the ACM 12, 1969). What a stroke
+changes is found from it outwards, in the order of the distances, and all else in the flat stays (Ramalingam and Reps,
+Journal of Algorithms 21, 1996): a stroke in a million flat voxels costs what it changes.
 """
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -17,31 +21,35 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.marks import CONTESTED
-from heartcase.schemas.arrays import Int16, Int64, UInt8, UInt16
+from heartcase.schemas.arrays import Int16, Int32, Int64, UInt8
 
 if TYPE_CHECKING:
     from heartcase.pipeline.watershed.tree import BasinTree
 
 __all__ = ["Division", "divided_flats", "redivided"]
 
-FAR = 65535
-"""Step of a voxel that no marked one reaches yet."""
-MOST_STEPS = 65_000
-"""A flat with more steps is divided, and not mended but divided anew."""
+FAR = 2**31 - 1
+"""Distance of a voxel that no marked one reaches yet."""
+FARTHEST = 2**31 - 2**20
+"""A flat with larger distances is divided, and not mended but divided anew."""
+NOWHERE = np.int64(2**62)
+"""Longer than any way."""
+INDEX_BITS = 29
+"""Bits of a voxel's index in what waits for its turn, a distance and an index in one number."""
 
 
 @dataclass
 class Division:
     """How the contested flat minima are divided."""
 
-    step: UInt16
-    """Step of each voxel of the flats in ``counts``, uint16, shape (voxels,); anything elsewhere."""
+    distance: Int32
+    """Distance of each voxel of the flats in ``counts``, int32, shape (voxels,); 0 outside of all divided flats."""
     counts: dict[int, Int64] = field(default_factory=dict)
     """Number of marked voxels of each label, int64, shape (256,), by the number of the flat."""
 
     def copy(self) -> Division:
         """The same with arrays of its own."""
-        return Division(self.step.copy(), dict(self.counts))
+        return Division(self.distance.copy(), dict(self.counts))
 
 
 def divided_flats(tree: BasinTree, marks: UInt8, flat_label: Int16, voxels: Int64) -> Division | None:
@@ -62,7 +70,7 @@ def divided_flats(tree: BasinTree, marks: UInt8, flat_label: Int16, voxels: Int6
     if not len(contested):
         return None
     # nobody touches what is in no contested flat, so it costs no memory
-    division = Division(np.zeros(marks.size, np.uint16))
+    division = Division(np.zeros(marks.size, np.int32))
     number = tree.flat_of(voxels)
     for one in contested.tolist():
         _divide(tree, one, voxels[number == one], marks.reshape(-1), division)
@@ -130,13 +138,15 @@ def _mended(
     counts = division.counts.pop(number, None)
     if counts is None:
         return None
-    was_painted = voxels[division.step[voxels] == 1]
+    was_painted = voxels[division.distance[voxels] == 1]
     now = painted[voxels]
     counts = counts - np.bincount(marks[was_painted], minlength=256)
     counts += np.bincount(now[now != UNMARKED], minlength=256)
     if np.count_nonzero(counts) < 2:
         return None
-    changed, values, is_known = _mend_flat(tree.height.shape, voxels, painted, marks, division.step)
+    changed, values, is_known = _mend_flat(
+        tree.height.shape, *tree.costs, voxels, painted, marks, division.distance, FARTHEST
+    )
     if not is_known:
         return None
     division.counts[number] = counts
@@ -154,6 +164,7 @@ def _anew(
     seeds = np.sort(inside[painted[inside] != UNMARKED])
     labels = np.unique(painted[seeds])
     flat_label[number] = CONTESTED if len(labels) > 1 else [-1, *labels.tolist()][-1]
+    division.distance[inside] = 0
     if len(labels) > 1:
         _divide(tree, number, seeds, marks, division)
     after = marks[inside]
@@ -162,15 +173,18 @@ def _anew(
 
 
 def _divide(tree: BasinTree, number: int, seeds: Int64, marks: UInt8, division: Division) -> None:
-    """Divide one flat among its marked voxels, ascending flat indices; ``marks`` holds no others in it."""
+    """Divide one flat among its marked voxels, ascending flat indices; it has no other marks, and no distances."""
     bits, counts = tree.height.view(np.int32).ravel(), np.bincount(marks[seeds], minlength=256)
-    if _divide_flat(bits, tree.height.shape, seeds, marks, division.step):
+    if _divide_flat(bits, tree.height.shape, *tree.costs, tree.largest_cost, seeds, marks, division.distance, FARTHEST):
         division.counts[number] = counts
 
 
 @copied
 def _near(v, per_slice, per_row, shape, found):
-    """Neighbours of a voxel in the volume, by ascending index, into ``found``; how many there are."""
+    """Neighbours of a voxel in the volume, by ascending index, into ``found[0]``, and their axes into ``found[1]``.
+
+    Returns how many there are.
+    """
     nz, ny, nx = shape
     # exact for any index below 2^29, and much quicker than a division of integers
     k = np.int64((v + 0.5) * per_slice)
@@ -179,177 +193,223 @@ def _near(v, per_slice, per_row, shape, found):
     i = rest - j * nx
     count = 0
     if k > 0:
-        found[count] = v - nx * ny
+        found[0, count], found[1, count] = v - nx * ny, 0
         count += 1
     if j > 0:
-        found[count] = v - nx
+        found[0, count], found[1, count] = v - nx, 1
         count += 1
     if i > 0:
-        found[count] = v - 1
+        found[0, count], found[1, count] = v - 1, 2
         count += 1
     if i < nx - 1:
-        found[count] = v + 1
+        found[0, count], found[1, count] = v + 1, 2
         count += 1
     if j < ny - 1:
-        found[count] = v + nx
+        found[0, count], found[1, count] = v + nx, 1
         count += 1
     if k < nz - 1:
-        found[count] = v + nx * ny
+        found[0, count], found[1, count] = v + nx * ny, 0
         count += 1
     return count
 
 
+@copied
+def _later(v, at, newest, waiting, before, entries):
+    """Let a voxel wait in a bucket; the two lists of what waits, longer where they were full.
+
+    ``entries`` holds the entry that is free again, or -1, how many were used, and how many wait.
+    """
+    entry = entries[0]
+    if entry >= 0:
+        entries[0] = before[entry]
+    else:
+        entry = entries[1]
+        entries[1] += 1
+        if entry == len(waiting):
+            waiting = np.append(waiting, np.empty_like(waiting))
+            before = np.append(before, np.empty_like(before))
+    waiting[entry], before[entry] = v, newest[at]
+    newest[at] = entry
+    entries[2] += 1
+    return waiting, before
+
+
 @kernel
-def _divide_flat(bits, shape, voxels, marks, step):
-    """Divide a flat minimum among its marked voxels, in place; whether the steps of all its voxels could be noted.
+def _divide_flat(bits, shape, cost, axis_cost, largest_cost, voxels, marks, distance, farthest):
+    """Divide a flat minimum among its marked voxels, in place; whether the distances of all its voxels could be noted.
 
     Parameters
     ----------
-    bits, marks, step
-        Heights as bits, labels and steps of all voxels, one-dimensional; the last two are written to.
+    bits, cost, marks, distance
+        Heights as bits, costs, labels and distances of all voxels, one-dimensional; the last two are written to. In
+        the flat no distance but 0 may stand.
     shape
         Of the volume: (z, y, x).
+    axis_cost
+        Cost of a step along z, y and x.
+    largest_cost
+        Cost of the longest step there is.
     voxels
         Flat indices of the marked voxels of the flat, ascending.
+    farthest
+        No larger distance is noted.
     """
     per_slice, per_row = 1.0 / (shape[1] * shape[2]), 1.0 / shape[2]
-    shore = voxels
-    level = bits[shore[0]]
-    near = np.empty(6, np.int64)
-    step[shore] = np.uint16(1)
+    level = bits[voxels[0]]
+    near = np.empty((2, 6), np.int64)
+    bucket_count = largest_cost + 1
+    newest = np.full(bucket_count, -1, np.int64)
+    waiting = np.empty(4 * len(voxels) + 4096, np.int64)
+    before = np.empty(len(waiting), np.int64)
+    entries = np.array([-1, 0, 0])
+    for v in voxels:
+        distance[v] = 1
+        for n in range(_near(v, per_slice, per_row, shape, near)):
+            u = near[0, n]
+            # a neighbour as high is of the same flat
+            if bits[u] == level and marks[u] == UNMARKED:
+                there = 1 + cost[u] * axis_cost[near[1, n]]
+                if distance[u] == 0 or there < distance[u]:
+                    distance[u] = there
+                    waiting, before = _later(u, there % bucket_count, newest, waiting, before, entries)
     now = 1
-    while len(shore) > 0:
+    while entries[2] > 0:
         now += 1
-        reached = np.empty(6 * len(shore), np.int64)
-        count = 0
-        # in ascending order, so that of neighbours equally near the one with the lowest index gives its label
-        for v in shore:
-            for n in range(_near(v, per_slice, per_row, shape, near)):
-                u = near[n]
-                # a neighbour as high is of the same flat
-                if bits[u] == level and marks[u] == UNMARKED:
-                    marks[u] = marks[v]
-                    step[u] = np.uint16(min(now, MOST_STEPS))
-                    reached[count] = u
-                    count += 1
-        shore = np.sort(reached[:count])
-    return now < MOST_STEPS
+        at = now % bucket_count
+        while newest[at] >= 0:
+            entry = newest[at]
+            v = waiting[entry]
+            newest[at], before[entry] = before[entry], entries[0]
+            entries[0] = entry
+            entries[2] -= 1
+            if marks[v] != UNMARKED:
+                continue
+            near_count = _near(v, per_slice, per_row, shape, near)
+            distance[v] = min(now, farthest)
+            for n in range(near_count):
+                u = near[0, n]
+                if bits[u] != level or marks[u] == UNMARKED:
+                    continue
+                # of neighbours that lead here as quickly, the one with the lowest index gives its label
+                if distance[u] + cost[v] * axis_cost[near[1, n]] == now or distance[u] == farthest:
+                    marks[v] = marks[u]
+                    break
+            for n in range(near_count):
+                u = near[0, n]
+                if bits[u] != level or marks[u] != UNMARKED:
+                    continue
+                there = now + cost[u] * axis_cost[near[1, n]]
+                if distance[u] == 0 or there < distance[u] or there > farthest:
+                    distance[u] = min(there, farthest)
+                    waiting, before = _later(u, there % bucket_count, newest, waiting, before, entries)
+    return now < farthest
 
 
 @kernel
-def _mend_flat(shape, voxels, painted, marks, step):
-    """Voxels of a divided flat whose labels change, the labels, and whether the steps are those of now.
+def _mend_flat(shape, cost, axis_cost, voxels, painted, marks, distance, farthest):
+    """Voxels of a divided flat whose labels change, the labels, and whether the distances are those of now.
 
-    No two flat minima lie side by side: so a neighbour with a step is of the same one.
+    No two flat minima lie side by side: so a neighbour with a distance is of the same one.
 
     Parameters
     ----------
     shape
         Of the volume: (z, y, x).
+    cost
+        Of all voxels, one-dimensional.
+    axis_cost
+        Cost of a step along z, y and x.
     voxels
         Flat indices of the voxels that were painted or erased.
     painted
         Labels of the painted voxels as they are now; 255 elsewhere.
-    marks, step
-        Labels and steps from before; the steps become those of now, the labels stay.
+    marks, distance
+        Labels and distances from before; the distances become those of now, the labels stay.
+    farthest
+        No larger distance is noted.
     """
     per_slice, per_row = 1.0 / (shape[1] * shape[2]), 1.0 / shape[2]
-    near, beyond = np.empty(6, np.int64), np.empty(6, np.int64)
-    # what may get another label: voxels, and their steps
+    near, beyond = np.empty((2, 6), np.int64), np.empty((2, 6), np.int64)
+    # what may get another label: distances and voxels, the nearest first
     waiting = [np.int64(0) for _ in range(0)]
-    waiting_step = [np.int64(0) for _ in range(0)]
     shore = [np.int64(0) for _ in range(0)]
     for v in voxels:
         if painted[v] != UNMARKED:
-            waiting.append(v)
-            waiting_step.append(np.int64(1))
-        elif step[v] == 1:
-            step[v] = np.uint16(FAR)
-            shore.append(v)
+            heapq.heappush(waiting, (np.int64(1) << INDEX_BITS) | v)
+        elif distance[v] == 1:
+            distance[v] = FAR
+            heapq.heappush(shore, (np.int64(1) << INDEX_BITS) | v)
     # those that nothing leads to any more, outwards
     gone = [np.int64(0) for _ in range(0)]
-    now = 1
+    kept = [np.int64(0) for _ in range(0)]
     while len(shore) > 0:
-        further = [np.int64(0) for _ in range(0)]
-        for v in shore:
-            gone.append(v)
-            for n in range(_near(v, per_slice, per_row, shape, near)):
-                u = near[n]
-                if step[u] != now + 1:
-                    continue
-                is_led_to = False
-                for m in range(_near(u, per_slice, per_row, shape, beyond)):
-                    is_led_to = is_led_to or step[beyond[m]] == now
-                if is_led_to:
-                    waiting.append(u)
-                    waiting_step.append(np.int64(now + 1))
-                else:
-                    step[u] = np.uint16(FAR)
-                    further.append(u)
-        shore = further
-        now += 1
-    for v in gone:
-        nearest = np.int64(FAR)
+        first = heapq.heappop(shore)
+        was, v = first >> INDEX_BITS, first & ((np.int64(1) << INDEX_BITS) - 1)
+        gone.append(v)
         for n in range(_near(v, per_slice, per_row, shape, near)):
-            if 0 < step[near[n]] < nearest:
-                nearest = np.int64(step[near[n]])
-        if nearest < FAR:
-            waiting.append(v)
-            waiting_step.append(np.int64(nearest + 1))
-    order = np.argsort(np.array(waiting_step), kind="mergesort")
+            u = near[0, n]
+            # neither a voxel of no divided flat nor a painted one
+            if distance[u] <= 1 or distance[u] != was + cost[u] * axis_cost[near[1, n]]:
+                continue
+            is_led_to = False
+            for m in range(_near(u, per_slice, per_row, shape, beyond)):
+                w = beyond[0, m]
+                is_led_to = is_led_to or (0 < distance[w] == distance[u] - cost[u] * axis_cost[beyond[1, m]])
+            if is_led_to:
+                kept.append(u)
+            else:
+                heapq.heappush(shore, (np.int64(distance[u]) << INDEX_BITS) | u)
+                distance[u] = FAR
+    for v in kept:
+        # others went after it
+        if distance[v] != FAR:
+            heapq.heappush(waiting, (np.int64(distance[v]) << INDEX_BITS) | v)
+    for v in gone:
+        nearest = NOWHERE
+        for n in range(_near(v, per_slice, per_row, shape, near)):
+            there = distance[near[0, n]]
+            if 0 < there < FAR:
+                nearest = min(nearest, there + cost[v] * axis_cost[near[1, n]])
+        if nearest < NOWHERE:
+            heapq.heappush(waiting, (nearest << INDEX_BITS) | v)
     changed = [np.int64(0) for _ in range(0)]
     before = [np.uint8(0) for _ in range(0)]
-    # of each voxel of a layer, whether its step is new
-    layer = [np.int64(0) for _ in range(0)]
-    is_new = [False for _ in range(0)]
-    at, now = 0, 1
-    while at < len(order) or len(layer) > 0:
-        if len(layer) == 0:
-            now = waiting_step[order[at]]
-        if now >= MOST_STEPS:
+    is_known = True
+    while len(waiting) > 0:
+        first = heapq.heappop(waiting)
+        now, v = first >> INDEX_BITS, first & ((np.int64(1) << INDEX_BITS) - 1)
+        if now >= farthest:
+            is_known = False
             break
-        while at < len(order) and waiting_step[order[at]] == now:
-            v = waiting[order[at]]
-            at += 1
-            if step[v] >= now:
-                layer.append(v)
-                is_new.append(step[v] > now)
-                step[v] = np.uint16(now)
-        next_layer = [np.int64(0) for _ in range(0)]
-        next_new = [False for _ in range(0)]
-        for one in range(len(layer)):
-            v = layer[one]
-            count = _near(v, per_slice, per_row, shape, near)
-            label = painted[v]
-            if now > 1:
-                for n in range(count):
-                    if step[near[n]] == now - 1:
-                        label = marks[near[n]]
-                        break
-            is_other = label != marks[v]
-            if is_other:
-                changed.append(v)
-                before.append(marks[v])
-                marks[v] = label
-            if not (is_other or is_new[one]):
-                continue
-            for n in range(count):
-                u = near[n]
-                if step[u] > now:
-                    if step[u] > now + 1:
-                        step[u] = np.uint16(now + 1)
-                        next_layer.append(u)
-                        next_new.append(True)
-                    elif step[u] == now + 1:
-                        next_layer.append(u)
-                        next_new.append(False)
-        layer, is_new = next_layer, next_new
-        now += 1
+        if distance[v] < now:
+            continue
+        is_new = distance[v] > now
+        distance[v] = now
+        near_count = _near(v, per_slice, per_row, shape, near)
+        label = painted[v]
+        if now > 1:
+            for n in range(near_count):
+                u = near[0, n]
+                if 0 < distance[u] == now - cost[v] * axis_cost[near[1, n]]:
+                    label = marks[u]
+                    break
+        is_other = label != marks[v]
+        if is_other:
+            changed.append(v)
+            before.append(marks[v])
+            marks[v] = label
+        if not (is_other or is_new):
+            continue
+        for n in range(near_count):
+            u = near[0, n]
+            there = now + cost[u] * axis_cost[near[1, n]]
+            if distance[u] >= there or distance[u] == FAR:
+                heapq.heappush(waiting, (there << INDEX_BITS) | u)
     found = np.array(changed)
     values = marks[found]
     for n in range(len(found)):
         marks[found[n]] = before[n]
-    return found, values, at == len(order) and len(layer) == 0
+    return found, values, is_known
 
 
 @kernel

@@ -167,7 +167,7 @@ class Forest:
         flats = tree.height.view(np.int32).ravel(), tree.basin.ravel(), tree.root, tree.flat, self.flat_label
         if any(is_flat_contested(*flats, voxels, label) for label, voxels in strokes):
             if self._division is None:
-                self._division = Division(np.zeros(self.marks.size, np.uint16))
+                self._division = Division(np.zeros(self.marks.size, np.int32))
             strokes = redivided(tree, self.painted, self.marks, self.flat_label, strokes, self._division)
         return self._mark(strokes)
 

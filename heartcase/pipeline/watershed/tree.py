@@ -26,7 +26,7 @@ from heartcase.pipeline.watershed.descent import (
     steepest_descent,
 )
 from heartcase.pipeline.watershed.plateaus import flat_minima, ways_to_flats
-from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8
+from heartcase.schemas.arrays import Float32, Int32, Int64, UInt8, UInt16
 from heartcase.schemas.errors import StageError
 
 if TYPE_CHECKING:
@@ -67,6 +67,21 @@ class BasinTree:
     """Keys of the faces that join the basins, ascending, int64, shape (basins - 1,)."""
     lower: Int32
     """Flat index of the lower voxel of each joining face, int32."""
+    cost: UInt16 | None = None
+    """Cost of a step into each voxel inside a flat minimum, uint16 >= 1, shape [z, y, x]; None: 1 everywhere."""
+    axis_cost: tuple[int, int, int] = (1, 1, 1)
+    """What a step along z, y and x is worth besides, >= 1: voxels are longer along some axes."""
+
+    @cached_property
+    def costs(self) -> tuple[UInt16, Int64]:
+        """Costs of all voxels, flat, and of the axes, int64, for :mod:`heartcase.pipeline.watershed.division`."""
+        cost = np.ones(self.height.size, np.uint16) if self.cost is None else self.cost.reshape(-1)
+        return cost, np.array(self.axis_cost, np.int64)
+
+    @cached_property
+    def largest_cost(self) -> int:
+        """Cost of the longest step there is."""
+        return int(self.costs[0].max(initial=1)) * max(self.axis_cost)
 
     @property
     def basin_count(self) -> int:
@@ -128,13 +143,17 @@ class BasinTree:
         return hanging_tree(self)
 
 
-def build_basin_tree(height: Float32) -> BasinTree:
+def build_basin_tree(
+    height: Float32, cost: UInt16 | None = None, axis_cost: tuple[int, int, int] = (1, 1, 1)
+) -> BasinTree:
     """Find the basins of a landscape and join them.
 
     Parameters
     ----------
     height
         Finite float32 >= 0, shape [z, y, x]: the gradient magnitude.
+    cost, axis_cost
+        As in :class:`BasinTree`: they say how a flat minimum is divided, and change nothing else.
 
     Raises
     ------
@@ -155,17 +174,23 @@ def build_basin_tree(height: Float32) -> BasinTree:
     direction = steepest_descent(height)
     basin, root = basins_of(direction)
     key, lower = joining_faces(height, basin, root)
-    return BasinTree(height, direction, basin, root, key, lower)
+    return BasinTree(height, direction, basin, root, key, lower, cost, axis_cost)
 
 
-def restored_tree(height: Float32, direction: UInt8, key: Int64) -> BasinTree | None:
+def restored_tree(
+    height: Float32,
+    direction: UInt8,
+    key: Int64,
+    cost: UInt16 | None = None,
+    axis_cost: tuple[int, int, int] = (1, 1, 1),
+) -> BasinTree | None:
     """A tree from what :mod:`heartcase.pipeline.watershed.tree_cache` keeps; None where its parts do not agree."""
     basin, root = basins_of(direction)
     if len(root) != len(key) + 1:
         return None
     lower = np.empty(len(key), np.int32)
     _find_lower_ends(key, height, side_offsets(height.shape), lower)
-    return BasinTree(height, direction, basin, root, key, lower)
+    return BasinTree(height, direction, basin, root, key, lower, cost, axis_cost)
 
 
 def _is_ordered_by_bits(height: Float32) -> bool:

@@ -55,16 +55,17 @@ def scan_tree(
         "shape_sigma_mm": stated.shape_sigma_mm,
         "noise_floor": stated.noise_floor,
     }
-    height = landscape(filtered.values, filtered.geometry.spacing_mm, **chosen)
+    ground = landscape(filtered.values, filtered.geometry.spacing_mm, **chosen)
+    height, costs = ground.height, (ground.cost, ground.axis_cost)
     if cache is None:
-        return build_basin_tree(height)
+        return build_basin_tree(height, *costs)
     key = stage_key(stage="basins", version=TREE_VERSION, settings=chosen, inputs={"scan": scan_sha256})
     kept = cache.load("basins", key, KeptTree)
     if kept is not None and kept.direction.shape == height.shape:
-        restored = restored_tree(height, kept.direction, kept.key)
+        restored = restored_tree(height, kept.direction, kept.key, *costs)
         if restored is not None:
             return restored
     start = time.perf_counter()
-    tree = build_basin_tree(height)
+    tree = build_basin_tree(height, *costs)
     cache.store("basins", key, KeptTree(tree.direction, tree.key), seconds=time.perf_counter() - start)
     return tree

@@ -99,10 +99,11 @@ class SegmentSettings(Model):
     """Watershed: scale of the Gaussian derivative; 0 takes central differences."""
     shape_sigma_mm: Annotated[float, Field(ge=0.0, le=20.0)] | None = None
     """Watershed: blur for the shape, which decides where the gradient is only noise, such as in an open valve; 0 leaves
-    the shape out. 2 mm for a CT and 3 mm for others when left out."""
+    the shape out. 3 mm when left out."""
     noise_floor: Annotated[float, Field(ge=0.0, le=20.0)] | None = None
     """Watershed: what gradient and shape come to counts as noise below this, in tenth percentiles of the scan's
-    gradient; where all is noise, labels meet half way. 0 for no floor. 3.5 for a CT and 0 for others when left out."""
+    gradient; where all is noise, labels share the blood by the shortest ways from their markers. 0 for no floor. 4 for
+    a CT and 6 for others when left out."""
     ranges: tuple[ThresholdRange, ...] = ()
     """Threshold: intensity range of each label; a voxel in two ranges gets the first."""
     automatic: tuple[Literal["background", "lung"], ...] = ()

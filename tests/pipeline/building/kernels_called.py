@@ -34,14 +34,10 @@ class _Compiled(event.Listener):
 
 
 def small_recipe(folder: Path) -> Path:
-    """The adult phantom at twice the spacing, with its scan made in the folder, and the noise floor of a CT.
-
-    With it labels meet in flat minima, whose kernels a CT calls, too.
-    """
+    """The adult phantom at twice the spacing, with its scan made in the folder."""
     text = RECIPE.read_text().replace("../out/adult_phantom/", "")
     path = folder / "small.toml"
-    coarse = text.replace("spacing_mm = [1.75, 1.75, 1.75]", "spacing_mm = [3.5, 3.5, 3.5]")
-    path.write_text(f"{coarse}\n[segment]\nnoise_floor = 3.5\n")
+    path.write_text(text.replace("spacing_mm = [1.75, 1.75, 1.75]", "spacing_mm = [3.5, 3.5, 3.5]"))
     return path
 
 

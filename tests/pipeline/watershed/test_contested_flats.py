@@ -11,18 +11,18 @@ from heartcase.pipeline.watershed import division
 from heartcase.pipeline.watershed import forest as module
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
-from tests.pipeline.watershed.test_forest import shapes
+from tests.pipeline.watershed.test_forest import costs, shapes
 
 
 def has_same_division(mended, anew):
-    """Steps and counts of what is known to be divided are those of a fresh solution."""
+    """Distances and counts of what is known to be divided are those of a fresh solution."""
     tree = mended.tree
     bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
     for number, counts in (mended._division.counts if mended._division else {}).items():
         np.testing.assert_array_equal(counts, anew._division.counts[number])
         inside = (tree.flat[basin] == number) & (bits == bits[tree.root[number]])
-        np.testing.assert_array_equal(mended._division.step[inside], anew._division.step[inside])
-        assert (mended._division.step[inside] > 0).all()
+        np.testing.assert_array_equal(mended._division.distance[inside], anew._division.distance[inside])
+        assert (mended._division.distance[inside] > 0).all()
 
 
 @settings(max_examples=150, deadline=None)
@@ -45,7 +45,7 @@ def has_same_division(mended, anew):
 )
 def test_a_mended_forest_is_the_one_that_is_solved_anew(shape, level_count, seed, limits, puts_off, is_restored):
     rng = np.random.default_rng(seed)
-    tree = build_basin_tree(rng.integers(0, level_count, shape).astype(np.float32))
+    tree = build_basin_tree(rng.integers(0, level_count, shape).astype(np.float32), *costs(shape, seed))
     painted = np.full(shape, UNMARKED, np.uint8)
     with patch.multiple(module, **limits):
         mended = solve_forest(tree, painted)
@@ -96,32 +96,33 @@ def test_a_copy_is_painted_on_alone():
     forest = solve_forest(build_basin_tree(height), painted)
     assert forest._division.counts
     before = {name: getattr(forest, name).copy() for name in ("labels", "marks", "painted", "flat_label")}
-    step, counts = forest._division.step.copy(), dict(forest._division.counts)
+    distance, counts = forest._division.distance.copy(), dict(forest._division.counts)
     copy = forest.copy()
     for label in (5, 1, UNMARKED):
         copy.paint(rng.choice(painted.size, 9, replace=False), label)
     assert (copy.labels != forest.labels).any()
     for name, values in before.items():
         np.testing.assert_array_equal(getattr(forest, name), values)
-    np.testing.assert_array_equal(forest._division.step, step)
+    np.testing.assert_array_equal(forest._division.distance, distance)
     assert forest._division.counts.keys() == counts.keys()
     for number, values in counts.items():
         np.testing.assert_array_equal(forest._division.counts[number], values)
 
 
-def test_a_flat_with_more_steps_than_can_be_noted_is_divided_anew():
-    shape = (1, 1, 70_000)
-    tree = build_basin_tree(np.full(shape, 1.0, np.float32))
+def test_a_flat_with_longer_ways_than_can_be_noted_is_divided_anew(monkeypatch):
+    monkeypatch.setattr(division, "FARTHEST", 1_052 * 15)
+    shape = (1, 1, 2_000)
+    tree = build_basin_tree(np.full(shape, 1.0, np.float32), np.full(shape, 5, np.uint16), (1, 1, 3))
     painted = np.full(shape, UNMARKED, np.uint8)
     painted[0, 0, :2] = 1, 2
     forest = solve_forest(tree, painted)
     assert not forest._division.counts
-    # with a third label far away all steps can be noted, and without it they cannot any more
+    # with a third label far away all distances can be noted, and without it they cannot any more
     for voxel, label, is_known in (
-        (69_000, 3, True),
-        (68_000, 1, True),
-        (68_000, UNMARKED, True),
-        (69_000, UNMARKED, False),
+        (1_900, 3, True),
+        (1_800, 1, True),
+        (1_800, UNMARKED, True),
+        (1_900, UNMARKED, False),
     ):
         forest.paint(np.array([voxel]), label)
         painted[0, 0, voxel] = label

@@ -27,6 +27,16 @@ def landscape(shape, levels, seed):
     return random.integers(0, levels, shape).astype(np.float32)
 
 
+def costs(shape, seed):
+    """Costs of voxels and axes, often the same sum by several ways; for a third of the seeds none."""
+    random = np.random.default_rng(seed)
+    if not seed % 3:
+        return None, (1, 1, 1)
+    return random.integers(1, 1 + random.integers(1, 9), shape).astype(np.uint16), tuple(
+        random.integers(1, 4, 3).tolist()
+    )
+
+
 def painted(shape, count, labels, seed):
     random = np.random.default_rng(seed)
     markers = np.full(shape, UNMARKED, np.uint8)
@@ -45,15 +55,16 @@ def painted(shape, count, labels, seed):
 )
 def test_equals_the_textbook_flood_voxel_for_voxel(shape, levels, seed, count, labels):
     height, markers = landscape(shape, levels, seed), painted(shape, count, labels, seed)
-    got = solve_forest(build_basin_tree(height), markers).labels
-    np.testing.assert_array_equal(got, textbook.flood(height, markers))
+    got = solve_forest(build_basin_tree(height, *costs(shape, seed)), markers).labels
+    np.testing.assert_array_equal(got, textbook.flood(height, markers, *costs(shape, seed)))
 
 
 @settings(max_examples=60, deadline=None)
 @given(shape=shapes, levels=level_counts, seed=st.integers(0, 2**32 - 1), count=st.integers(1, 20))
 def test_the_two_textbook_forms_agree(shape, levels, seed, count):
     height, markers = landscape(shape, levels, seed), painted(shape, count, 3, seed)
-    np.testing.assert_array_equal(textbook.joined(height, markers), textbook.flood(height, markers))
+    both = (flood(height, markers, *costs(shape, seed)) for flood in (textbook.joined, textbook.flood))
+    np.testing.assert_array_equal(*both)
 
 
 @settings(max_examples=300, deadline=None)
@@ -71,7 +82,7 @@ def test_any_sequence_of_strokes_ends_where_a_fresh_solve_does(shape, levels, se
 
 def paint_and_erase(shape, levels, seed, steps):
     random = np.random.default_rng(seed)
-    tree = build_basin_tree(landscape(shape, levels, seed))
+    tree = build_basin_tree(landscape(shape, levels, seed), *costs(shape, seed))
     forest = solve_forest(tree, painted(shape, int(random.integers(0, 4)), 3, seed))
     for _ in range(steps):
         before = forest.labels.copy()

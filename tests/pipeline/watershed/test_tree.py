@@ -139,14 +139,15 @@ def test_a_kept_tree_is_the_tree(tmp_path, monkeypatch):
     kept_in = {"cache": cache, "scan_sha256": "a"}
     first = scan_tree(scan, stated, **kept_in)
 
-    def no_work(height):
+    def no_work(height, *costs):
         raise AssertionError("worked out again")
 
     with monkeypatch.context() as patched:
         patched.setattr(kept, "build_basin_tree", no_work)
         again = scan_tree(scan, stated, **kept_in)
-        for name in ("height", "direction", "basin", "root", "key"):
+        for name in ("height", "direction", "basin", "root", "key", "cost"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+        assert again.axis_cost == first.axis_cost == (2, 1, 1)
         with pytest.raises(AssertionError, match="worked out"):
             scan_tree(scan, stated, **(kept_in | {"scan_sha256": "b"}))
         for changed in ({"gradient_sigma_mm": 1.0}, {"shape_sigma_mm": 0.0}, {"noise_floor": 0.0}):
@@ -161,13 +162,15 @@ def test_a_tree_is_made_as_its_kind_of_scan_asks():
     values = np.random.default_rng(6).normal(0.0, 50.0, (9, 10, 11)).astype(np.float32)
     geometry = Geometry.of(shape=values.shape, spacing_mm=(1.0, 1.0, 2.0))
     for modality, stated in (
-        ("CT", {"shape_sigma_mm": 2.0, "noise_floor": 3.5}),
-        ("MR", {"shape_sigma_mm": 3.0, "noise_floor": 0.0}),
-        ("unknown", {"shape_sigma_mm": 3.0, "noise_floor": 0.0}),
+        ("CT", {"shape_sigma_mm": 3.0, "noise_floor": 4.0}),
+        ("MR", {"shape_sigma_mm": 3.0, "noise_floor": 6.0}),
+        ("unknown", {"shape_sigma_mm": 3.0, "noise_floor": 6.0}),
     ):
         scan = Scan(values, geometry, modality)
         want = landscape(values, geometry.spacing_mm, gradient_sigma_mm=0.0, **stated)
-        np.testing.assert_array_equal(scan_tree(scan, SegmentSettings()).height, want)
-        np.testing.assert_array_equal(
-            scan_tree(dataclasses.replace(scan, modality="MR"), SegmentSettings(**stated)).height, want
-        )
+        for found in (
+            scan_tree(scan, SegmentSettings()),
+            scan_tree(dataclasses.replace(scan, modality="MR"), SegmentSettings(**stated)),
+        ):
+            np.testing.assert_array_equal(found.height, want.height)
+            np.testing.assert_array_equal(found.cost, want.cost)

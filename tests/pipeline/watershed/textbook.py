@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import itertools
 
 import numpy as np
 
@@ -34,8 +33,14 @@ class Order:
         return (*self.rank(higher), *self.rank(lower))
 
 
-def with_flats_divided(height, markers):
-    """Markers with each contested flat minimum divided by steps to the nearest marked voxel."""
+def with_flats_divided(height, markers, cost=None, axis_cost=(1, 1, 1)):
+    """Markers with each contested flat minimum divided by the shortest ways to marked voxels."""
+    cost = np.ones(height.shape, int) if cost is None else cost.astype(int)
+
+    def into(voxel, near):
+        """Cost of the step into a voxel from its neighbour."""
+        return int(cost[voxel] * axis_cost[np.flatnonzero(np.subtract(voxel, near))[0]])
+
     marked = markers.copy()
     index = np.arange(height.size).reshape(height.shape)
     seen = set()
@@ -53,22 +58,26 @@ def with_flats_divided(height, markers):
         painted = {voxel for voxel in flat if markers[voxel] != UNMARKED}
         if len(flat) == 1 or not is_minimum or len({int(markers[voxel]) for voxel in painted}) < 2:
             continue
-        steps, shore = dict.fromkeys(painted, 0), sorted(painted)
-        for count in itertools.count(1):
-            shore = sorted({n for v in shore for n in neighbours(v, height.shape) if n in flat and n not in steps})
-            if not shore:
-                break
-            for voxel in shore:
-                givers = [n for n in neighbours(voxel, height.shape) if steps.get(n) == count - 1]
-                marked[voxel] = marked[min(givers, key=lambda v: index[v])]
-            steps |= dict.fromkeys(shore, count)
+        length, waiting = {}, [(1, voxel) for voxel in painted]
+        while waiting:
+            way, voxel = heapq.heappop(waiting)
+            if voxel in length:
+                continue
+            length[voxel] = way
+            for near in neighbours(voxel, height.shape):
+                if near in flat:
+                    heapq.heappush(waiting, (way + into(near, voxel), near))
+        for voxel in sorted(flat - painted, key=lambda v: length[v]):
+            near = [n for n in neighbours(voxel, height.shape) if n in flat]
+            givers = [n for n in near if length[n] + into(voxel, n) == length[voxel]]
+            marked[voxel] = marked[min(givers, key=lambda v: index[v])]
     return marked
 
 
-def flood(height, markers):
+def flood(height, markers, *costs):
     """Prim's algorithm: of all faces on the shore the lowest is flooded next."""
     order = Order(height)
-    labels = with_flats_divided(height, markers)
+    labels = with_flats_divided(height, markers, *costs)
     shore = []
 
     def join(voxel):
@@ -86,10 +95,10 @@ def flood(height, markers):
     return labels
 
 
-def joined(height, markers):
+def joined(height, markers, *costs):
     """Kruskal's algorithm: all faces in order, each joins two pieces unless both are labelled."""
     order = Order(height)
-    labels = with_flats_divided(height, markers)
+    labels = with_flats_divided(height, markers, *costs)
     piece = {voxel: {voxel} for voxel in np.ndindex(height.shape)}
     faces = [(order.face(v, n), v, n) for v in piece for n in neighbours(v, height.shape) if v < n]
     for _, one, other in sorted(faces):

@@ -21,7 +21,10 @@ LIP = (22.3, -12.0, 40.5)
 
 def paint(folder: Path) -> None:
     """On a scan with and without a noise floor: with one, most strokes lie in a flat minimum that others mark."""
-    for name, settings in (("plain", ""), ("flat", "\n[segment]\nnoise_floor = 20.0\n")):
+    for name, settings in (
+        ("plain", "\n[segment]\nnoise_floor = 0.0\n"),
+        ("flat", "\n[segment]\nnoise_floor = 20.0\n"),
+    ):
         (folder / name).mkdir()
         path, middle = write_recipe(folder / name)
         path.write_text(path.read_text() + settings)
