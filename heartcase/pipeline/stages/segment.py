@@ -63,7 +63,7 @@ def _compute(work: Work) -> Segmentation:
 
 STAGE = Stage(
     name="segment",
-    version=4,
+    version=5,
     title="segmenting",
     deed="find the structures",
     subject="finding the structures",
