@@ -27,7 +27,6 @@ from heartcase.phantom.metrics import dice
 from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.formats.read_scan import read_labels, read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan
-from heartcase.pipeline.image.landscape import resolve_segment
 from heartcase.pipeline.image.region import crop_scan
 from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.pipeline.watershed.forest import solve_forest
@@ -63,8 +62,6 @@ FLAT: dict[str, dict[str, Any]] = {
 ITERATIONS = 5
 CONDUCTANCE = {"gradient": 1.0, "curvature": 3.0}
 """SimpleITK's usual ones: its own default, and that of its examples for the curvature filter."""
-OF_CT, OF_OTHERS = (resolve_segment(SegmentSettings(), modality) for modality in ("CT", "unknown"))
-"""What a CT gets, and what other scans get."""
 
 
 @dataclass(frozen=True)
@@ -145,9 +142,9 @@ def heartcase_other(inputs: Inputs) -> tuple[Any, ...]:
     return _ours(inputs, other, SegmentSettings())
 
 
-def heartcase_other_landscape(inputs: Inputs) -> tuple[Any, ...]:
-    """Shape and floor that are not the default for this modality: none for a CT, that of a CT for others."""
-    return _ours(inputs, FilterSettings(), OF_OTHERS if inputs.scan.modality == "CT" else OF_CT)
+def heartcase_no_floor(inputs: Inputs) -> tuple[Any, ...]:
+    """The watershed alone, without the part below a floor where ways add up."""
+    return _ours(inputs, FilterSettings(), SegmentSettings(noise_floor=0.0))
 
 
 def _ours(inputs: Inputs, filter_settings: FilterSettings, settings: SegmentSettings) -> tuple[Any, ...]:
@@ -188,7 +185,7 @@ def _named(kind: str, *, is_blurred: bool) -> Callable[[Inputs], tuple[Any, ...]
 METHODS = {
     "heartcase": heartcase,
     "heartcase_other": heartcase_other,
-    "heartcase_other_landscape": heartcase_other_landscape,
+    "heartcase_no_floor": heartcase_no_floor,
     "gradient": _named("gradient", is_blurred=False),
     "gradient_blurred": _named("gradient", is_blurred=True),
     "curvature": _named("curvature", is_blurred=False),

@@ -126,7 +126,7 @@ def test_every_method_finds_the_shells(method):
     assert (found.labels == inputs.true_labels).mean() > 0.93
 
 
-OURS = ("heartcase", "heartcase_other", "heartcase_other_landscape")
+OURS = ("heartcase", "heartcase_other", "heartcase_no_floor")
 METHODS_OF_SCANS = (*OURS, "gradient", "gradient_blurred", "curvature", "curvature_blurred")
 
 

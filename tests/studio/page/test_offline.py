@@ -9,7 +9,7 @@ import zlib
 import numpy as np
 import pytest
 
-from heartcase import CloseGrab, LeadGrab, approve_case
+from heartcase import CloseGrab, LeadGrab, PlaceStitch, approve_case
 from heartcase.cli.main import main
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import load_case
@@ -54,6 +54,8 @@ def recorded(tmp_path_factory):
     session.do(CloseGrab(name="hand", center_mm=(22.0, -14.0, 40.5), radius_mm=6.0))
     for number in range(8):
         session.do(LeadGrab(name="hand", offset_mm=(0.0, 0.0, number + 1.0)))
+        if number == 4:
+            session.do(PlaceStitch(name="s", places_mm=((17.0, -14.0, 40.5), (19.0, -14.0, 40.5)), at_rest=True))
         session.advance(60)
     recorder.finish()
     page = folder / "page.html"
@@ -172,6 +174,17 @@ def test_it_is_looked_at_cut_open_and_played(chromium, recorded):
     tab.click("#tab-recordings")
     tab.click("#recordings button")
     tab.wait_for_selector("#time-bar:not([hidden])")
+    # the button says what it does
+    icon = "() => document.querySelector('#play use').getAttribute('href')"
+    moment, last = (int(tab.locator("#time").evaluate(f"(one) => one.{name}")) for name in ("value", "max"))
+    assert tab.evaluate(icon) == ("#icon-pause" if moment < last else "#icon-go")
+    (mark,) = tab.locator("#time-marks span").all()
+    assert mark.get_attribute("class") == "stitch"
+    mark.click()
+    assert tab.evaluate(icon) == "#icon-go"
+    moment = int(tab.locator("#time").evaluate("(one) => one.value"))
+    # it was placed after half of the recording
+    assert 0.5 <= moment / last <= 0.5 + 1.0 / last
     tab.locator("#time").evaluate("(one) => { one.value = one.max; one.dispatchEvent(new Event('input')); }")
     assert_accessible(tab, "recording")
     loaded = load_case(case, needs=("surface", "tissue"))

@@ -27,7 +27,7 @@ export class SavedPage {
   }
 
   #fill() {
-    const { state, fraction, name, byte_count: byteCount, problems } = /** @type {Record<string, any>} */ (this.#message ?? {});
+    const { state, fraction, name, folder, byte_count: byteCount, problems } = /** @type {Record<string, any>} */ (this.#message ?? {});
     /** @type {HTMLButtonElement} */ (find("save-page")).disabled = state === "working";
     const bar = /** @type {HTMLProgressElement} */ (find("save-page-bar"));
     bar.hidden = find("save-page-cancel").hidden = state !== "working";
@@ -37,7 +37,7 @@ export class SavedPage {
     link.hidden = state !== "saved";
     link.textContent = state === "saved" ? say("save_page_take", { name }) : "";
     const said = state === "working" ? say("save_page_working", { percent: figure(100 * (fraction ?? 0), 0) })
-      : state === "saved" ? say("save_page_saved", { name, mb: figure(byteCount / 1e6, 1) })
+      : state === "saved" ? say("save_page_saved", { name, folder, mb: figure(byteCount / 1e6, 1) })
       : state === "failed" ? say("save_page_failed") : "";
     find("save-page-state").replaceChildren(said, ...(problems?.length ? [problemList(problems)] : []));
   }

@@ -22,6 +22,7 @@ import { Looking, SIDES } from "./looking.js";
 import { Marks } from "./marks.js";
 import { runNaming } from "./naming.js";
 import { Picking } from "./picking.js";
+import { TimeMarks } from "./time_marks.js";
 import { Vessels } from "./vessels.js";
 
 /** @typedef {import("../shared/words.js").Word} Word */
@@ -83,6 +84,7 @@ async function run() {
   const panel = new Panel({ hiddenChanged: () => (paint(), tellSeen()), replay: (name) => replay(name) }, KEYS);
   const picking = new Picking(picture);
   const toolBar = new ToolBar(take);
+  const timeMarks = new TimeMarks(find("time-marks"), goTo);
   const colouring = new Colouring(facts.structures, facts.inside, facts.oxygen, () => {
     panel.setStructures(colouring.listed());
     paint();
@@ -237,6 +239,7 @@ async function run() {
     showStart();
     played = { moments: momentsOf(recording), at: -1, isRunning: true, since: performance.now() };
     find("time-bar").hidden = false;
+    timeMarks.show(played.moments);
     /** @type {HTMLInputElement} */ (find("time")).max = String(played.moments.length - 1);
     showMoment(0);
     void playOn();
@@ -299,6 +302,7 @@ async function run() {
   }
 
   async function playOn() {
+    tellPlaying();
     while (played?.isRunning) {
       await new Promise((resolve) => requestAnimationFrame(resolve));
       if (!played?.isRunning) break;
@@ -308,6 +312,14 @@ async function run() {
       if (at > played.at) showMoment(at);
       if (at >= last) played.isRunning = false;
     }
+    tellPlaying();
+  }
+
+  /** @param {number} at */
+  function goTo(at) {
+    if (played === null) return;
+    played.isRunning = false;
+    showMoment(at);
     tellPlaying();
   }
 
@@ -359,12 +371,7 @@ async function run() {
   ];
   for (const [id, does] of clicks) find(id).addEventListener("click", does);
   runView();
-  /** @type {HTMLInputElement} */ (find("time")).addEventListener("input", (event) => {
-    if (played === null) return;
-    played.isRunning = false;
-    showMoment(Number(/** @type {HTMLInputElement} */ (event.target).value));
-    tellPlaying();
-  });
+  /** @type {HTMLInputElement} */ (find("time")).addEventListener("input", (event) => goTo(Number(/** @type {HTMLInputElement} */ (event.target).value)));
   document.addEventListener("keydown", (event) => {
     const target = /** @type {Element} */ (event.target);
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || target.closest("select, textarea, input:not([type=checkbox])")) return;

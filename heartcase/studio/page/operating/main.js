@@ -460,6 +460,12 @@ function run() {
       const { stitch_count: count, area_mm2: area } = header.patches[header.patches.length - 1];
       notice("", [{ place: "", message: say("operate_patched", { count: String(count), area: figure(area, 0) }) }]);
     }
+    const tied = header.stitches.filter((/** @type {any} */ one) => one.tied);
+    const tiedBefore = before?.stitches.filter((/** @type {any} */ one) => one.tied).length ?? tied.length;
+    if (before?.mode === "running" && header.mode === "running" && tied.length > tiedBefore) {
+      const force = Math.max(...tied.map((/** @type {any} */ one) => one.force_n));
+      notice("", [{ place: "", message: say("operate_tied", { count: String(tied.length), force: figure(force, 2) }) }]);
+    }
     const isOpen = isOpening && header.mode === "playing";
     if (isOpen || (noticeUntil > 0 && performance.now() > noticeUntil)) notice("", []);
   }

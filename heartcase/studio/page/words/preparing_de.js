@@ -48,5 +48,5 @@ export const words = {
   start_outside: "{path} liegt außerhalb der Ordner, mit denen heartcase gestartet wurde. Um es zu öffnen: diese Seite schließen, heartcase beenden und mit diesem Ordner neu starten: heartcase studio \"{path}\"",
   start_dropped: "Nichts wurde geöffnet: Ein Browser verrät nicht, wo eine hineingezogene Datei liegt. Ihren Ordner in der Liste wählen oder oben eingeben.",
   item_background_first: "Hintergrund rings um das Herz markieren (Taste 0): Bis dahin zählt die ganze Aufnahme als {names}",
-  item_defects: "Ein Loch in einem Septum? Von jeder Seite einen Strich hindurch in den der anderen laufen lassen oder es nach dem Bauen angeben: Sonst wächst dort eine Wand.",
+  item_defects: "Ein Loch in einem Septum? Von jeder Seite einen Strich hindurch führen, bis sich beide im Loch berühren, oder es nach dem Bauen angeben: Sonst wächst dort eine Wand.",
 };

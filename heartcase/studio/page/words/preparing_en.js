@@ -47,5 +47,5 @@ export const words = {
   start_outside: "{path} lies outside of the folders that heartcase was started with. To open it, close this page and end heartcase; then start it with that folder: heartcase studio \"{path}\"",
   start_dropped: "Nothing was opened: a browser does not tell where a dropped file lies. Choose its folder in the list, or type it above.",
   item_background_first: "Mark background around the heart (key 0): until then all of the scan counts as {names}",
-  item_defects: "A hole in a septum? Let a stroke of each side run into the other through it, or say so after the build: it is walled over otherwise.",
+  item_defects: "A hole in a septum? Let a stroke of each side run through it until the two touch inside the hole, or say so after the build: it is walled over otherwise.",
 };
