@@ -29,6 +29,9 @@ CLEARLY_NEARER = 2.0
 WIDTH_CHANGE = 2.2
 """A lumen whose section changes by more than this over 0.4 radii towards the heart is a chamber there."""
 LEAST_ROUNDNESS = 0.3
+REACH, WIDE_REACH = 2.0, 3.5
+"""How far a section may reach, in radii of the marker; and where none is so small, as of a marker that is narrower than
+the lumen and off its middle."""
 ADVICE_MM = 60.0
 """Ends that are farther away are not proposed in the place of one that was refused."""
 
@@ -61,9 +64,12 @@ def snapped_end(
     position, axis = np.array(end.position_mm), np.array(end.axis) / np.linalg.norm(end.axis)
     step = 0.5 * max(segmentation.geometry.spacing_mm)
     count = int(end.radius_mm / step)
-    if not _is_ambiguous(lumen.section(position, axis, 2.0 * end.radius_mm), step):
+    if not _is_ambiguous(lumen.section(position, axis, REACH * end.radius_mm), step):
         for number in sorted(range(-count, count + 1), key=lambda n: (abs(n), n)):
-            section = across(lumen, position + number * step * axis, axis, 2.0 * end.radius_mm)
+            at = position + number * step * axis
+            section = across(lumen, at, axis, REACH * end.radius_mm)
+            if section is None:
+                section = across(lumen, at, axis, WIDE_REACH * end.radius_mm)
             if section is None or not _fits(lumen, section, end):
                 continue
             for radius in _radii(section, end, stumps.wall_mm(label), stumps, 2.0 * step):

@@ -45,7 +45,7 @@ def _compute(work: Work) -> Structures:
 
 STAGE = Stage(
     name="walls",
-    version=17,
+    version=18,
     title="distance fields and walls",
     deed="grow the walls",
     subject="walls and outlines",

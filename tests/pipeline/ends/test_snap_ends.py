@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from heartcase.pipeline.ends.cut_ends import cut_ends
@@ -76,6 +76,7 @@ perturbed = given(
 
 
 @settings(max_examples=25, deadline=None)
+@example(along=0.0, off=1.0, off_turn=0.0, degrees=7.0, turn=5.0, wide=0.6, number=0)
 @perturbed
 def test_a_marker_off_by_half_its_radius_and_30_degrees_cuts_its_vessel(
     along, off, off_turn, degrees, turn, wide, number
