@@ -73,12 +73,12 @@ def command(recipe: Path, out: Path, count: int, ends: bool, write: bool, as_jso
         for place in found.places
     ]
     right = ("changes,\nml", "brush\nbelow, mm", "confidence")
-    # As wide as "morphologically left", so that the table fits where lines have 100 characters.
+    # Narrow, so that the table fits where lines have 100 characters.
     print_table(
         ("at (LPS), mm", "is now", "could be", *right),
         rows,
         right=right,
-        width_max=dict.fromkeys(("is now", "could be"), 20),
+        width_max=dict.fromkeys(("is now", "could be"), 19),
     )
     click.echo(
         f"The best place after these is worth {found.rest_ml:.2f} ml (what it changes, at most 5 ml, times "

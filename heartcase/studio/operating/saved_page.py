@@ -104,8 +104,8 @@ class SavedPage:
                 words = f"it cannot be written: {error.strerror or 'no reason given'}"
                 content, problems = b"", [asdict(Problem("page", words))]
         state = "saved" if content else "failed"
-        folder = str(path.parent)
-        self._tell(state=state, name=path.name, folder=folder, byte_count=len(content), problems=problems)
+        folder = {"folder": str(path.parent)} if content else {}
+        self._tell(state=state, name=path.name, byte_count=len(content), problems=problems, **folder)
 
     def _tell(self, **facts: Any) -> None:
         self._facts = facts

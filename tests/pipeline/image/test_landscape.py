@@ -27,7 +27,7 @@ def plain_gradient(values, spacing_mm, sigma_mm):
     shape=st.tuples(st.integers(2, 14), st.integers(2, 14), st.integers(2, 40)),
     spacing_mm=st.tuples(*[st.sampled_from([0.5, 0.8, 1.75, 3.0])] * 3),
     shape_sigma_mm=st.sampled_from([0.6, 1.5, 3.0]),
-    noise_floor=st.sampled_from([0.0, 1.5, 6.0]),
+    noise_floor=st.sampled_from([0.0, 6.0, 20.0]),
     seed=st.integers(0, 2**32 - 1),
 )
 def test_equals_the_formula_in_float64(shape, spacing_mm, shape_sigma_mm, noise_floor, seed):
@@ -39,11 +39,13 @@ def test_equals_the_formula_in_float64(shape, spacing_mm, shape_sigma_mm, noise_
     given = {"gradient_sigma_mm": 0.0, "shape_sigma_mm": shape_sigma_mm, "noise_floor": noise_floor}
     got = landscape(values, spacing_mm, **given)
     assert got.height.dtype == np.float32
-    np.testing.assert_allclose(got.height, np.maximum(bare, noise_floor * unit), rtol=1e-4, atol=1e-3 * most)
+    # what is noise is well below the steepest voxels
+    noise = min(unit, np.quantile(steep, 0.99) / 32.0)
+    np.testing.assert_allclose(got.height, np.maximum(bare, noise_floor * noise), rtol=1e-4, atol=1e-3 * most)
     if not noise_floor:
         assert got.cost is None
         return
-    cost = 1.0 + np.minimum(bare / unit, noise_floor) ** 4
+    cost = np.minimum(1.0 + np.minimum(bare / noise, noise_floor) ** 4, 65_535.0)
     assert got.cost.dtype == np.uint16
     assert (np.abs(got.cost - cost) <= 0.5 + 0.01 * cost).all()
     lengths = np.array(got.axis_cost[::-1]) / min(got.axis_cost)
@@ -120,11 +122,13 @@ def test_a_weak_border_below_the_floor_is_where_labels_meet():
     """A step of intensity that is far nearer to one of two markers, as that of a vena cava with its atrium in MR."""
     values = np.random.default_rng(0).normal(0.0, 4.0, (16, 16, 60)).astype(np.float32)
     values[..., 40:] += 5.0
+    # a border as steep as those of a heart with lung
+    values[:, :3] += 800.0
     markers = np.full(values.shape, UNMARKED, np.uint8)
     markers[8, 8, 4], markers[8, 8, 52] = 1, 2
     found = landscape(values, (1.0, 1.0, 1.0), gradient_sigma_mm=1.0, shape_sigma_mm=0.0, noise_floor=20.0)
-    # the border, too, but for a few voxels
-    assert (found.height == found.height.min()).mean() > 0.999
+    # the weak border, too
+    assert (found.height[:, 6:] == found.height.min()).mean() > 0.999
     tree = build_basin_tree(found.height, found.cost, found.axis_cost)
     labels = solve_forest(tree, markers).labels
     ends = np.count_nonzero(labels == 1, axis=-1)

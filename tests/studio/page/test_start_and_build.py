@@ -13,7 +13,16 @@ from tests.pipeline.formats.dicom_series import write_series
 from tests.studio.axe.accessible import assert_accessible
 from tests.studio.page.browsing import TOKEN, Page, Server
 
-SPILLED = '\n[[strokes]]\nlabel = "cavity"\nradius_mm = 2.0\npoints_mm = [[24, 24, 0]]\n'
+SPILLED = """
+[[strokes]]
+label = "background"
+radius_mm = 2.0
+points_mm = [[24, 24, 8], [18, 24, 0], [24, 24, -8], [24, 18, 0], [24, 24, 8]]
+[[strokes]]
+label = "cavity"
+radius_mm = 2.0
+points_mm = [[24, 24, 0]]
+"""
 """Blood outside of the ball: warned of, with its place."""
 DROP = """() => {
   const held = new DataTransfer();
@@ -144,7 +153,7 @@ def test_a_build_shows_its_stages_and_its_warnings_lead_to_their_places(page, fo
         tab.mouse.move(5, 5)
         shown = page.text("#under")
         assert named[0] in " ".join(shown.split())
-        assert row.locator("input").is_checked()
+        assert row.locator("input").is_checked(), row.inner_text()
     assert "cavity" in page.text("#volume-rows")
     assert_accessible(page, "built")
     # approved only once the report was opened, and all was looked at
