@@ -121,6 +121,8 @@ def test_the_ends_of_the_great_vessels_are_found_without_a_number(path):
     if not (path.parent / recipe.scan.path).exists():
         pytest.skip("the scan is not at hand; the recipe says where to get it")
     scan = crop_scan(read_scan(path.parent / recipe.scan.path), recipe.region)
+    # the file does not say so
+    scan = dataclasses.replace(scan, modality=recipe.scan.modality)
     automatic = sorted({*recipe.segment.automatic})
     markers = load_markers(
         recipe.markers, recipe.strokes, recipe.table, scan.geometry, path.parent, scan=scan, automatic=automatic
