@@ -150,7 +150,7 @@ def test_the_recipe_s_kind_of_scan_decides_on_the_landscape(work, capsys):
         assert ("stated neither by the scan" in told.out + told.err) == (name == "bare")
         (record,) = (one for one in load_history(work / f"{name}.safetensors").stages if one.stage == "segment")
         stated[name] = (record.settings["noise_floor"], record.settings["shape_sigma_mm"])
-    assert stated == {"ct": (3.0, 3.0), "image": (3.0, 3.0), "bare": (6.0, 3.0), "set": (1.0, 1.0)}
+    assert stated == {"ct": (4.0, 3.0), "image": (4.0, 3.0), "bare": (6.0, 3.0), "set": (1.0, 1.0)}
 
 
 def test_images_in_and_out(work, capsys):

@@ -140,7 +140,7 @@ def test_the_ends_of_the_great_vessels_are_found_without_a_number(path):
     assert [end.is_open and end.axis[2] > 0.9 for end in ends_of("superior vena cava")] == [True]
     (inferior,) = ends_of("inferior vena cava")
     assert inferior.axis[2] < -0.5
-    sides = [np.sign(end.position_mm[0]) for end in ends_of("pulmonary artery") if end.lumen_radius_mm > 3.5]
+    sides = [np.sign(end.position_mm[0]) for end in ends_of("pulmonary artery") if end.lumen_radius_mm > 2.5]
     assert {*sides} == {-1.0, 1.0}
     assert len(ends_of("left atrium")) >= VEIN_COUNTS[path.stem]
     assert ends_of("right atrium") == []

@@ -13,7 +13,7 @@ fat and bone with a texture of their own, several times as steep as blood. ``hea
 watershed of the gradient alone: chambers are mostly divided better, the myocardium can lose a little.
 
 Even so the label that first finds a way through a valve may take the whole next chamber: of many low passes the lowest
-is an accident of the noise. So nothing is lower than a *noise floor*, 3 times that percentile in a CT and 6 times in
+is an accident of the noise. So nothing is lower than a *noise floor*, 4 times that percentile in a CT and 6 times in
 other scans; less where a scan has so little noise that the percentile is near that of its borders. What lies below is
 flat, and labels that mark one flat share it by the shortest ways (:mod:`heartcase.pipeline.watershed.division`). A
 step there costs 1 + h^4, with the height h from before the floor in tenth percentiles: so a weak border, or a narrow,
@@ -58,10 +58,9 @@ SAMPLE_VOXELS = 200_000
 """Voxels of which the percentile is taken, at least where there are as many."""
 SHAPE_SIGMA_MM = 3.0
 """Blur for the shape where the settings leave it out, mm."""
-CT_NOISE_FLOOR, NOISE_FLOOR = 3.0, 6.0
-"""Floor where the settings leave it out: for a CT, and for others. In a real CT from 3.5 on the left pulmonary artery
-is lost as an end beside the pulmonary vein that it touches, and from 4.5 on few strokes of myocardium run into the
-liver."""
+CT_NOISE_FLOOR, NOISE_FLOOR = 4.0, 6.0
+"""Floor where the settings leave it out: for a CT, in which myocardium of few strokes runs into the liver from 4.5 on,
+and for others."""
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class SegmentSettings(Model):
     the shape out. 3 mm when left out."""
     noise_floor: Annotated[float, Field(ge=0.0, le=20.0)] | None = None
     """Watershed: what gradient and shape come to counts as noise below this, in tenth percentiles of the scan's
-    gradient; where all is noise, labels share the blood by the shortest ways from their markers. 0 for no floor. 3 for
+    gradient; where all is noise, labels share the blood by the shortest ways from their markers. 0 for no floor. 4 for
     a CT and 6 for others when left out."""
     ranges: tuple[ThresholdRange, ...] = ()
     """Threshold: intensity range of each label; a voxel in two ranges gets the first."""

@@ -138,7 +138,7 @@ def test_a_weak_border_below_the_floor_is_where_labels_meet():
 
 
 def test_a_ct_gets_a_lower_floor_than_others_where_the_settings_leave_it_out():
-    for modality, shape_sigma_mm, noise_floor in (("CT", 3.0, 3.0), ("MR", 3.0, 6.0), ("unknown", 3.0, 6.0)):
+    for modality, shape_sigma_mm, noise_floor in (("CT", 3.0, 4.0), ("MR", 3.0, 6.0), ("unknown", 3.0, 6.0)):
         found = resolve_segment(SegmentSettings(), modality)
         assert (found.shape_sigma_mm, found.noise_floor) == (shape_sigma_mm, noise_floor)
         assert resolve_segment(found, "CT") is found

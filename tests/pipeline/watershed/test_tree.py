@@ -162,7 +162,7 @@ def test_a_tree_is_made_as_its_kind_of_scan_asks():
     values = np.random.default_rng(6).normal(0.0, 50.0, (9, 10, 11)).astype(np.float32)
     geometry = Geometry.of(shape=values.shape, spacing_mm=(1.0, 1.0, 2.0))
     for modality, stated in (
-        ("CT", {"shape_sigma_mm": 3.0, "noise_floor": 3.0}),
+        ("CT", {"shape_sigma_mm": 3.0, "noise_floor": 4.0}),
         ("MR", {"shape_sigma_mm": 3.0, "noise_floor": 6.0}),
         ("unknown", {"shape_sigma_mm": 3.0, "noise_floor": 6.0}),
     ):
