@@ -212,6 +212,15 @@ def test_hands_that_hold_open_and_a_patch_say_so(chromium, operated):
         until(lambda: "The patch is sewn on" in page.text("#notice-words"))
         said = f"{patch['stitch_count']} stitches, {patch['area_mm2']:.0f} mm²"
         assert said in page.text("#notice-words")
+        # a stitch beside it, tied: told with its pull
+        tab.keyboard.press("s")
+        for place in ((14.0, -14.0, 40.5), (17.0, -14.0, 40.5)):
+            tab.mouse.click(*hands.pixel(place))
+        hands.until(lambda header: len(header["stitches"]) == 1)
+        tab.locator("#tie").click()
+        (stitch,) = hands.until(lambda header: header["stitches"][0]["tied"])["stitches"]
+        until(lambda: "Tied stitches: 1." in page.text("#notice-words"))
+        assert stitch["force_n"] > 0.0
 
 
 def test_by_keys_alone_what_is_hidden_and_a_server_that_is_gone(chromium, operated):

@@ -1,7 +1,7 @@
 /** Where a recording was cut, patched or stitched, on its time line: a click goes there; keys have the slider. */
 
-import { element } from "../panel/structures.js";
-import { figure, language, say } from "../shared/words.js";
+import { timeMark } from "../operating/time_line.js";
+import { language } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
 /** Number of the moment, what was done then, and when [s]. @typedef {{at: number, kind: "cut" | "patch" | "stitch", time: number}} Mark */
@@ -20,10 +20,8 @@ export function marksOf(moments) {
     const now = { cut: header.cut_count ?? before.cut, patch: header.patches?.length ?? 0, stitch: header.stitches?.length ?? 0 };
     const time = header.time_s ?? 0;
     for (const kind of /** @type {const} */ (["cut", "patch", "stitch"])) {
-      // a patch brings its own stitches
-      const isNew = now[kind] > before[kind] && !(kind === "stitch" && now.patch > before.patch);
       if (now[kind] > before[kind]) {
-        if (isNew && time - last[kind] > ROW_S) marks.push({ at, kind, time });
+        if (time - last[kind] > ROW_S) marks.push({ at, kind, time });
         last[kind] = time;
       }
       before[kind] = now[kind];
@@ -53,10 +51,8 @@ export class TimeMarks {
 
   #fill() {
     this.list.replaceChildren(...this.#marks.map(({ at, kind, time }) => {
-      const mark = element("span", kind);
-      mark.title = say(`operate_mark_${kind}`, { time: figure(time, 2) });
+      const mark = timeMark(kind, time, () => this.goTo(at));
       mark.style.left = `${(100 * at) / this.#count}%`;
-      mark.addEventListener("click", () => this.goTo(at));
       return mark;
     }));
   }

@@ -8,6 +8,14 @@ import { figure, fillWords, language, say } from "../shared/words.js";
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
+/** A mark on the line: a click goes there. @param {Mark[1]} kind @param {number} timeS @param {() => void} go */
+export function timeMark(kind, timeS, go) {
+  const mark = element("span", kind);
+  mark.title = say(`operate_mark_${kind}`, { time: figure(timeS, 2) });
+  mark.addEventListener("click", go);
+  return mark;
+}
+
 export class TimeLine {
   #slider = /** @type {HTMLInputElement} */ (find("time"));
   #wanted = /** @type {number | null} */ (null);
@@ -51,15 +59,10 @@ export class TimeLine {
       this.#marks = marks;
       this.#markLanguage = language.value;
       this.#markEnd = 0;
-      list.replaceChildren(...marks.map(([step, kind]) => {
-        const mark = element("span", kind);
-        mark.title = say(`operate_mark_${kind}`, { time: figure(step * this.stepS, 2) });
-        mark.addEventListener("click", () => {
-          this.#wanted = step;
-          void this.#go();
-        });
-        return mark;
-      }));
+      list.replaceChildren(...marks.map(([step, kind]) => timeMark(kind, step * this.stepS, () => {
+        this.#wanted = step;
+        void this.#go();
+      })));
     }
     // what is pointed at stays the same element while time goes on
     if (end === this.#markEnd) return;

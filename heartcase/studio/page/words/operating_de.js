@@ -36,7 +36,7 @@ export const operating = {
   plans_choose: "{name} zum Vergleich wählen",
   operate_holding: "Wird geöffnet …",
   operate_patched: "Der Patch ist angenäht: {count} Stiche, {area} mm².",
-  operate_tied: "{count} Stiche sind geknotet; der Faden zieht mit höchstens {force} N.",
+  operate_tied: "Geknotete Stiche: {count}. Der Faden zieht mit höchstens {force} N.",
   recording_opening: "Die Aufnahme {name} wird geöffnet …",
   save_page: "Als Webseite speichern",
   save_page_says: "Eine Datei, die jeder Browser ohne heartcase öffnet, zum Weitergeben: das Modell, Schnittebenen, geführte Touren und die angekreuzten Aufnahmen.",

@@ -36,7 +36,7 @@ export const operating = {
   plans_choose: "Choose {name} to compare it",
   operate_holding: "Opening …",
   operate_patched: "The patch is sewn on: {count} stitches, {area} mm².",
-  operate_tied: "{count} stitches are tied; the thread pulls with {force} N at most.",
+  operate_tied: "Tied stitches: {count}. The thread pulls with {force} N at most.",
   recording_opening: "Opening the recording {name} …",
   save_page: "Save as a web page",
   save_page_says: "One file that any browser opens without heartcase, to hand on: the model, planes that cut it open, guided tours, and the recordings that are ticked.",
