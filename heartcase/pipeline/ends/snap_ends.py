@@ -30,8 +30,9 @@ WIDTH_CHANGE = 2.2
 """A lumen whose section changes by more than this over 0.4 radii towards the heart is a chamber there."""
 LEAST_ROUNDNESS = 0.3
 REACH, WIDE_REACH = 2.0, 3.5
-"""How far a section may reach, in radii of the marker; and where none is so small, as of a marker that is narrower than
-the lumen and off its middle."""
+"""How far a section may reach, in radii of the marker; and where none is so small, as of a marker off its middle."""
+WIDEST = 1.5
+"""A lumen in the wider reach may have so many times the marker's radius: one much wider is not what it means."""
 ADVICE_MM = 60.0
 """Ends that are farther away are not proposed in the place of one that was refused."""
 
@@ -70,6 +71,8 @@ def snapped_end(
             section = across(lumen, at, axis, REACH * end.radius_mm)
             if section is None:
                 section = across(lumen, at, axis, WIDE_REACH * end.radius_mm)
+                if section is not None and section.radius_mm > WIDEST * end.radius_mm:
+                    continue
             if section is None or not _fits(lumen, section, end):
                 continue
             for radius in _radii(section, end, stumps.wall_mm(label), stumps, 2.0 * step):
