@@ -92,7 +92,7 @@ def topology_changes(
 
 def _differ_around(now: Bool, after: Bool, labels: UInt32, connectivity: Connectivity, reach: int) -> Bool:
     """For each group of voxels that are left, whether the topology around it and the groups near it is another."""
-    boxes = find_objects(labels.astype(np.int32))
+    boxes = [box for box in find_objects(labels.astype(np.int32)) if box is not None]
     low = np.array([[part.start - reach for part in box] for box in boxes])
     high = np.array([[part.stop + reach for part in box] for box in boxes])
     is_real = np.ones(len(boxes), np.bool_)

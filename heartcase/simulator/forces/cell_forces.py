@@ -299,7 +299,7 @@ def _corner_guard(u: Float64, floor: float) -> tuple[Float64, Float64]:
     slopes = (np.cross(b, c), np.cross(c, a), np.cross(a, b))
     J = (a * slopes[0]).sum(axis=2)
     normal = slopes[0] + slopes[1] + slopes[2]
-    D = 0.5 + 0.25 * sum((n * n).sum(axis=2) for n in (*slopes, normal))
+    D = 0.5 + 0.25 * np.stack([(n * n).sum(axis=2) for n in (*slopes, normal)]).sum(axis=0)
     lack = np.maximum(floor - J, 0.0)
     push = 0.125 * lack / D
     turned = [slope + normal for slope in slopes]

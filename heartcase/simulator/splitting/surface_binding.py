@@ -402,8 +402,8 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
     used = np.flatnonzero(surface_part >= 0)
     part_count = int(of_cell.max()) + 1
     votes = np.bincount(surface_part[used] * part_count + follows[used], minlength=part_count)
-    votes = np.append(votes, np.zeros(-len(votes) % part_count, votes.dtype)).reshape(-1, part_count)
-    most = votes.argmax(axis=1)
+    full = np.append(votes, np.zeros(-len(votes) % part_count, votes.dtype))
+    most = full.reshape(-1, part_count).argmax(axis=1)
     wanted = np.append(most, -1)[surface_part]
     # What no other part of the surface follows is of this one, if only by a bridge that has no sample.
     wrong = np.flatnonzero((surface_part >= 0) & (follows != wanted) & np.isin(follows, most))

@@ -33,6 +33,6 @@ def hung_points(model: LatticeModel, points_mm: Any) -> dict[str, Any]:
     if len(points) == 0:
         return {"at_mm": points, "cell": np.zeros(0, np.uint32), "local": points}
     index = model.geometry.world_to_index(points.astype(float))
-    _, cell = cKDTree(model.cells.astype(float)).query(index)
+    cell = np.asarray(cKDTree(model.cells.astype(float)).query(index)[1])
     local = np.clip(index - model.cells[cell] + 0.5, 0.0, 1.0)
     return {"at_mm": points, "cell": cell.astype(np.uint32), "local": local.astype(np.float32)}

@@ -274,7 +274,8 @@ def lay_in_layers(node_index, corners, row, is_copied, low_i, length, layer):
         keys[number] = row[starts[number]] * length + low[number] - low_i
     layer_of = np.full(path_count, -1, np.int32)
     last, count = -1, 0
-    for number in np.argsort(keys, kind="mergesort"):
+    for nth in np.argsort(keys, kind="mergesort"):
+        number = int(nth)
         if row[starts[number]] != last:
             last, count = row[starts[number]], 0
         if layer_of[group[number]] < 0:

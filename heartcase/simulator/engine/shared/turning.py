@@ -217,7 +217,7 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
 def least_volumes(u: Float64) -> Float64:
     """Volume of each cell's flattest corner, from displacements of shape (count, 8, 3); shape (count,)."""
     position = u + CORNER_OFFSETS
-    least: Float64 = np.min([_volume(position[:, nodes]) for nodes in CORNER_NODES], axis=0)
+    least: Float64 = np.stack([_volume(position[:, nodes]) for nodes in CORNER_NODES]).min(axis=0)
     return least
 
 
