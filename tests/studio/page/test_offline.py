@@ -183,9 +183,14 @@ def test_it_is_looked_at_cut_open_and_played(chromium, recorded):
     mark.click()
     assert tab.evaluate(icon) == "#icon-go"
     moment = int(tab.locator("#time").evaluate("(one) => one.value"))
+    assert tab.locator("#speed option").all_inner_texts() == ["0.25 ×", "0.5 ×", "1 ×", "2 ×", "4 ×"]
     # it was placed after half of the recording
     assert 0.5 <= moment / last <= 0.5 + 1.0 / last
-    tab.locator("#time").evaluate("(one) => { one.value = one.max; one.dispatchEvent(new Event('input')); }")
+    # on from there to the end
+    tab.select_option("#speed", "4")
+    tab.click("#play")
+    tab.wait_for_function("() => document.querySelector('#time').value === document.querySelector('#time').max")
+    tab.wait_for_function("() => document.querySelector('#play').getAttribute('aria-pressed') === 'false'")
     assert_accessible(tab, "recording")
     loaded = load_case(case, needs=("surface", "tissue"))
     session = load_session(open_recording(recording), loaded.model, surface=loaded.surface, tissue=loaded.tissue)

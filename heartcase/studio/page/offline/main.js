@@ -22,6 +22,7 @@ import { Looking, SIDES } from "./looking.js";
 import { Marks } from "./marks.js";
 import { runNaming } from "./naming.js";
 import { Picking } from "./picking.js";
+import { firstAct, momentsOf, Playing, SPEEDS } from "./playing.js";
 import { TimeMarks } from "./time_marks.js";
 import { Vessels } from "./vessels.js";
 
@@ -75,8 +76,7 @@ async function run() {
   let engine = null;
   /** Why the case cannot be pulled here. @type {NoWebGpu["reason"] | null} */
   let whyNot = null;
-  /** @type {{told?: object, moments: Package[][], at: number, isRunning: boolean, since: number, until?: number} | null} */
-  let played = null;
+  const playing = new Playing(facts.frames_per_second, { part: takePart, shown: momentShown, told: tellPlaying });
   let stillPictures = 0;
   let isStepping = false;
   let steps = STEPS_LEAST;
@@ -84,7 +84,7 @@ async function run() {
   const panel = new Panel({ hiddenChanged: () => (paint(), tellSeen()), replay: (name) => replay(name) }, KEYS);
   const picking = new Picking(picture);
   const toolBar = new ToolBar(take);
-  const timeMarks = new TimeMarks(find("time-marks"), goTo);
+  const timeMarks = new TimeMarks(find("time-marks"), (at) => playing.goTo(at));
   const colouring = new Colouring(facts.structures, facts.inside, facts.oxygen, () => {
     panel.setStructures(colouring.listed());
     paint();
@@ -106,7 +106,7 @@ async function run() {
       shower.stop();
       picture.move();
     },
-    hasTool: () => hands !== null && hands.tool !== "" && played === null,
+    hasTool: () => hands !== null && hands.tool !== "" && playing.of === null,
     isReady: () => hands !== null,
     cursorMoved: () => showCursor(pointer.cursor),
     twoFingersMove: true,
@@ -192,13 +192,13 @@ async function run() {
   // Steps of the page's own engine
   function wake() {
     stillPictures = 0;
-    if (!isStepping && engine !== null && played === null) void stepOn();
+    if (!isStepping && engine !== null && playing.of === null) void stepOn();
   }
 
   async function stepOn() {
     isStepping = true;
     let before = performance.now();
-    while (engine !== null && hands !== null && played === null && stillPictures < STILL_PICTURES) {
+    while (engine !== null && hands !== null && playing.of === null && stillPictures < STILL_PICTURES) {
       await new Promise((resolve) => requestAnimationFrame(resolve));
       const now = performance.now();
       const { stepS } = engine.lattice.arrays.facts;
@@ -214,7 +214,7 @@ async function run() {
       const isSlow = performance.now() - began > STEPS_MS;
       if (isSlow) steps = Math.max(STEPS_LEAST, Math.floor(0.8 * steps));
       else if (taken === steps) steps = Math.ceil(1.15 * steps);
-      if (played !== null || picture.heart.nodes === null) break;
+      if (playing.of !== null || picture.heart.nodes === null) break;
       const most = picture.heart.nodes.takeAll(displacement);
       stillPictures = most < STILL && !hands.isUsed ? stillPictures + 1 : 0;
       if (most > 0) follow();
@@ -235,27 +235,34 @@ async function run() {
   function replay(name) {
     const recording = data.recordings.find((one) => one.name === name);
     if (recording === undefined) return;
-    leaveTools();
-    showStart();
-    played = { moments: momentsOf(recording), at: -1, isRunning: true, since: performance.now() };
+    const moments = partsOf(recording);
+    begin(recording, moments);
     find("time-bar").hidden = false;
-    timeMarks.show(played.moments);
-    /** @type {HTMLInputElement} */ (find("time")).max = String(played.moments.length - 1);
-    showMoment(0);
-    void playOn();
+    timeMarks.show(moments);
+    /** @type {HTMLInputElement} */ (find("time")).max = String(moments.length - 1);
+    tellSpeed();
+    playing.play(firstAct(moments, facts.frames_per_second));
   }
 
   /** Play some moments of what a tour does, after which time stands. @param {{parts: number[]}} told @param {number} from @param {number} until */
   function playPart(told, from, until) {
     leaveTools();
-    if (played?.told !== told) {
-      showStart();
-      played = { told, moments: momentsOf(told), at: -1, isRunning: false, since: 0, until };
+    if (playing.of !== told) {
+      begin(told, partsOf(told));
       find("time-bar").hidden = true;
     }
-    Object.assign(played, { until, isRunning: true, since: performance.now() - (1000 * from) / facts.frames_per_second });
-    showMoment(from);
-    void playOn();
+    playing.setSpeed(1);
+    playing.play(from, until);
+  }
+
+  /** @param {{parts: number[]}} one */
+  const partsOf = (one) => momentsOf(one.parts.map((number) => data.parts[number]));
+
+  /** @param {object} of @param {Package[][]} moments */
+  function begin(of, moments) {
+    leaveTools();
+    showStart();
+    playing.open(of, moments);
   }
 
   function leaveTools() {
@@ -263,87 +270,38 @@ async function run() {
     hands?.letGo();
   }
 
-  /** @param {number} at */
-  function showMoment(at) {
-    if (played === null) return;
-    const { moments } = played;
-    // what a picture changes of the one before: those between are gone through, from the start where it lies behind
-    if (at < played.at) played.at = -1;
-    for (let n = played.at + 1; n <= at; n++) {
-      for (const part of moments[n]) {
-        if (part.header.kind === "topology") picture.heart.takeTopology(part);
-        else {
-          const arrays = arraysOf(part);
-          picture.heart.takeFrame(part, arrays);
-          if (n === at) picture.tools.show(part.header, arrays);
-        }
-      }
+  /** @param {Package} part @param {boolean} isShown */
+  function takePart(part, isShown) {
+    if (part.header.kind === "topology") {
+      picture.heart.takeTopology(part);
+      return;
     }
-    played.at = at;
+    const arrays = arraysOf(part);
+    picture.heart.takeFrame(part, arrays);
+    if (isShown) picture.tools.show(part.header, arrays);
+  }
+
+  /** @param {number} at @param {Record<string, any>} header */
+  function momentShown(at, header) {
     follow();
-    /** @type {Record<string, any>} */
-    const header = moments[at].at(-1)?.header ?? {};
     panel.showForces({ ...header, mode: "paused" });
     /** @type {HTMLInputElement} */ (find("time")).value = String(at);
     find("time-words").textContent = say("offline_time", { at: figure(header.time_s ?? 0, 1), end: figure(header.end_s ?? 0, 1) });
     changed();
   }
 
-  /** Parts of each moment of a recording. @param {{parts: number[]}} recording @returns {Package[][]} */
-  function momentsOf(recording) {
-    /** @type {Package[][]} */
-    const moments = [[]];
-    for (const part of recording.parts.map((number) => data.parts[number])) {
-      moments.at(-1)?.push(part);
-      if (part.header.kind === "frame") moments.push([]);
-    }
-    moments.pop();
-    return moments;
-  }
-
-  async function playOn() {
-    tellPlaying();
-    while (played?.isRunning) {
-      await new Promise((resolve) => requestAnimationFrame(resolve));
-      if (!played?.isRunning) break;
-      const due = Math.floor(((performance.now() - played.since) / 1000) * facts.frames_per_second);
-      const last = played.until ?? played.moments.length - 1;
-      const at = Math.min(due, last);
-      if (at > played.at) showMoment(at);
-      if (at >= last) played.isRunning = false;
-    }
-    tellPlaying();
-  }
-
-  /** @param {number} at */
-  function goTo(at) {
-    if (played === null) return;
-    played.isRunning = false;
-    showMoment(at);
-    tellPlaying();
-  }
-
-  function tellPlaying() {
-    const isRunning = played?.isRunning ?? false;
+  /** @param {boolean} isRunning */
+  function tellPlaying(isRunning) {
     find("play").setAttribute("aria-pressed", String(isRunning));
     /** @type {Element} */ (find("play").querySelector("use")).setAttribute("href", isRunning ? "#icon-pause" : "#icon-go");
   }
 
-  function playOrPause() {
-    if (played === null) return;
-    const { moments, at } = played;
-    played.isRunning = !played.isRunning;
-    if (played.isRunning) {
-      const from = at >= moments.length - 1 ? 0 : at;
-      played.since = performance.now() - (1000 * from) / facts.frames_per_second;
-      if (from === 0) showMoment(0);
-      void playOn();
-    }
-    tellPlaying();
+  function tellSpeed() {
+    playing.setSpeed(Number(/** @type {HTMLSelectElement} */ (find("speed")).value));
   }
 
   function leaveRecording() {
-    played = null;
+    playing.leave();
     find("time-bar").hidden = true;
     engine?.reset();
     showStart();
@@ -362,7 +320,7 @@ async function run() {
   /** @type {[string, () => void][]} */
   const clicks = [
     ["hide-all", () => panel.hideAll()],
-    ["smaller", () => resize(-1)], ["larger", () => resize(1)], ["reset-view", reset], ["play", playOrPause], ["begin", leaveRecording],
+    ["smaller", () => resize(-1)], ["larger", () => resize(1)], ["reset-view", reset], ["play", () => playing.playOrPause()], ["begin", leaveRecording],
     ["as-at-start", () => {
       leaveTools();
       engine?.reset();
@@ -371,7 +329,14 @@ async function run() {
   ];
   for (const [id, does] of clicks) find(id).addEventListener("click", does);
   runView();
-  /** @type {HTMLInputElement} */ (find("time")).addEventListener("input", (event) => goTo(Number(/** @type {HTMLInputElement} */ (event.target).value)));
+  /** @type {HTMLInputElement} */ (find("time")).addEventListener("input", (event) => playing.goTo(Number(/** @type {HTMLInputElement} */ (event.target).value)));
+  const speed = /** @type {HTMLSelectElement} */ (find("speed"));
+  const fillSpeeds = () => {
+    const chosen = Number(speed.value || 1);
+    speed.replaceChildren(...SPEEDS.map((one) => new Option(`${one.toLocaleString(language.value)} ×`, String(one), one === 1, one === chosen)));
+  };
+  fillSpeeds();
+  speed.addEventListener("change", tellSpeed);
   document.addEventListener("keydown", (event) => {
     const target = /** @type {Element} */ (event.target);
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || target.closest("select, textarea, input:not([type=checkbox])")) return;
@@ -443,7 +408,7 @@ async function run() {
     hide: (numbers) => panel.hide(numbers),
     play: playPart,
     leave: () => {
-      if (played?.told) leaveRecording();
+      if (playing.of !== null && data.recordings.every((one) => one !== playing.of)) leaveRecording();
     },
     looked: () => tellSeen(),
   });
@@ -459,6 +424,7 @@ async function run() {
   language.follow(() => colouring.build());
   language.listen(() => {
     fillTools();
+    fillSpeeds();
     tellEngine();
     tellSeen();
   });
