@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recording.reader import Recording, open_recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
+from heartcase.simulator.live.cuts_done import ActMarks, CutsDone
 from heartcase.simulator.live.live import LiveFrame, moment_of
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
@@ -168,12 +170,20 @@ def _recorded(
 def _moments(session: OperatingSession, frames_per_second: float, told: Callable[[float], None]) -> Iterator[LiveFrame]:
     """Moments of a recording, the first one included; at the end it is checked against what was recorded."""
     first, last = session.start_step, session.end_step
-    yield moment_of(session)
+    cuts, marks = CutsDone(), ActMarks()
+
+    def moment() -> LiveFrame:
+        frame = session.frame(surface=True)
+        cuts.note(session, frame)
+        marks.note(session)
+        return replace(moment_of(session, frame), act_count=cuts.act_count, cuts=cuts.cuts, marks=marks.marks)
+
+    yield moment()
     for step in frame_steps(session, frames_per_second):
         for _ in session.play(step):
             pass
         told((step - first) / max(last - first, 1))
-        yield moment_of(session)
+        yield moment()
     for _ in session.play():
         pass
     refuse_deviation(session)

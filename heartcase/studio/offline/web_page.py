@@ -288,6 +288,8 @@ def _messages(moments: Iterable[LiveFrame], drawn: _Drawn) -> list[bytes]:
                 sent = None
         rounded = Rounded.of(moment.frame.state.displacement, SCALE_LEAST if sent is None else sent.scale)
         header = {"frame": len(found), "topology": number} | described(moment)
+        if moment.marks and (shown is None or moment.marks is not shown.marks):
+            header["marks"] = moment.marks
         found.append(frame_message(header, rounded, sent, dict(patch_arrays(moment))))
         shown, sent = moment, rounded
     return found

@@ -9,7 +9,7 @@ import zlib
 import numpy as np
 import pytest
 
-from heartcase import CloseGrab, LeadGrab, PlaceStitch, approve_case
+from heartcase import CloseGrab, Cut, LeadGrab, PlaceStitch, approve_case
 from heartcase.cli.main import main
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import load_case
@@ -54,6 +54,8 @@ def recorded(tmp_path_factory):
     session.do(CloseGrab(name="hand", center_mm=(22.0, -14.0, 40.5), radius_mm=6.0))
     for number in range(8):
         session.do(LeadGrab(name="hand", offset_mm=(0.0, 0.0, number + 1.0)))
+        if number == 2:
+            session.do(Cut(poses_mm=tuple(tuple((26.3, y, z) for y in (-18.0, -10.0)) for z in (45.0, 36.0))))
         if number == 4:
             session.do(PlaceStitch(name="s", places_mm=((17.0, -14.0, 40.5), (19.0, -14.0, 40.5)), at_rest=True))
         session.advance(60)
@@ -118,7 +120,9 @@ def test_it_holds_the_case_and_the_recording(recorded):
     kinds = [header_of(part)["kind"] for part in parts]
     # the recording begins with the case's own surface, which stands once
     assert kinds[:3] == ["topology", "springs", "landmarks"]
-    assert set(kinds[3:]) == {"frame"}
+    # and one more where it was cut
+    assert set(kinds[3:]) == {"frame", "topology"}
+    assert kinds[3:].count("topology") == 1
     opened = open_recording(recording)
     assert table["case"] == [0, 1]
     assert table["recordings"] == [{"name": "pull", "parts": [0, *range(3, len(parts))]}]
@@ -178,12 +182,16 @@ def test_it_is_looked_at_cut_open_and_played(chromium, recorded):
     icon = "() => document.querySelector('#play use').getAttribute('href')"
     moment, last = (int(tab.locator("#time").evaluate(f"(one) => one.{name}")) for name in ("value", "max"))
     assert tab.evaluate(icon) == ("#icon-pause" if moment < last else "#icon-go")
-    (mark,) = tab.locator("#time-marks span").all()
-    assert mark.get_attribute("class") == "stitch"
-    mark.click()
+    cut, stitch = tab.locator("#time-marks span").all()
+    assert [one.get_attribute("class") for one in (cut, stitch)] == ["cut", "stitch"]
+    cut.click()
+    assert 0.25 <= int(tab.locator("#time").evaluate("(one) => one.value")) / last <= 0.25 + 1.0 / last
+    stitch.click()
     assert tab.evaluate(icon) == "#icon-go"
     moment = int(tab.locator("#time").evaluate("(one) => one.value"))
-    assert tab.locator("#speed option").all_inner_texts() == ["0.25 ×", "0.5 ×", "1 ×", "2 ×", "4 ×"]
+    assert tab.locator("#speed option").all_inner_texts() == [
+        f"{one} \N{MULTIPLICATION SIGN}" for one in ("0.25", "0.5", "1", "2", "4")
+    ]
     # it was placed after half of the recording
     assert 0.5 <= moment / last <= 0.5 + 1.0 / last
     # on from there to the end

@@ -29,6 +29,9 @@ def untouched(shape: tuple[int, ...], kind: Any = np.float32) -> Any:
     size = prod(shape)
     if not size:
         return np.zeros(shape, kind)
-    options = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
-    room = mmap.mmap(-1, size * np.dtype(kind).itemsize, **options)
+    byte_count = size * np.dtype(kind).itemsize
+    if hasattr(mmap, "MAP_PRIVATE"):
+        room = mmap.mmap(-1, byte_count, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    else:
+        room = mmap.mmap(-1, byte_count)
     return np.frombuffer(room, kind).reshape(shape)

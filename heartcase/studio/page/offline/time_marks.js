@@ -6,28 +6,15 @@ import { language } from "../shared/words.js";
 /** @typedef {import("../shared/connection.js").Package} Package */
 /** Number of the moment, what was done then, and when [s]. @typedef {{at: number, kind: "cut" | "patch" | "stitch", time: number}} Mark */
 
-/** Stitches of a row that come one after the other have one mark: those within so long, s. */
-const ROW_S = 1;
-
-/** @param {Package[][]} moments @returns {Mark[]} */
+/** What the frames tell of steps, as moments. @param {Package[][]} moments @returns {Mark[]} */
 export function marksOf(moments) {
-  /** @type {Mark[]} */
-  const marks = [];
-  const before = { cut: 0, patch: 0, stitch: 0 };
-  const last = { cut: -Infinity, patch: -Infinity, stitch: -Infinity };
-  moments.forEach((parts, at) => {
-    const header = /** @type {Record<string, any>} */ (parts.at(-1)?.header ?? {});
-    const now = { cut: header.cut_count ?? before.cut, patch: header.patches?.length ?? 0, stitch: header.stitches?.length ?? 0 };
-    const time = header.time_s ?? 0;
-    for (const kind of /** @type {const} */ (["cut", "patch", "stitch"])) {
-      if (now[kind] > before[kind]) {
-        if (time - last[kind] > ROW_S) marks.push({ at, kind, time });
-        last[kind] = time;
-      }
-      before[kind] = now[kind];
-    }
+  const headers = moments.map((parts) => /** @type {Record<string, any>} */ (parts.at(-1)?.header ?? {}));
+  const told = /** @type {[number, Mark["kind"]][]} */ (headers.findLast(({ marks }) => marks !== undefined)?.marks ?? []);
+  return told.map(([step, kind]) => {
+    const found = headers.findIndex((header) => header.step >= step);
+    const at = found < 0 ? headers.length - 1 : found;
+    return { at, kind, time: headers[at].time_s };
   });
-  return marks;
 }
 
 export class TimeMarks {
