@@ -325,8 +325,9 @@ def _motion_problems(
         problems.append(Problem("--frames-per-second", "serves only with --recording: leave it out"))
     if error_mm is not None and (not recordings or suffix != ".glb"):
         problems.append(Problem("--error-mm", "serves only with --recording and .glb: leave it out"))
-    if any(number is not None and math.isnan(number) for number in (rate, error_mm)):
-        problems.append(Problem("--frames-per-second, --error-mm", "must be numbers"))
+    for place, number in (("--frames-per-second", rate), ("--error-mm", error_mm)):
+        if number is not None and math.isnan(number):
+            problems.append(Problem(place, "must be a number"))
     return problems
 
 

@@ -99,8 +99,9 @@ def law_options(function: F) -> F:
 
 def check_numbers(**numbers: float | None) -> None:
     """UsageError where an option is not a number, which click takes for one; by the names of the arguments."""
-    if any(number is not None and math.isnan(number) for number in numbers.values()):
-        names = ", ".join(f"--{name.removesuffix('_s').replace('_', '-')}" for name in numbers)
+    wrong = [name for name, number in numbers.items() if number is not None and math.isnan(number)]
+    if wrong:
+        names = ", ".join(f"--{name.removesuffix('_s').replace('_', '-')}" for name in wrong)
         raise UsageError("must be numbers", place=names)
 
 

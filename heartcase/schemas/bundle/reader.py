@@ -280,7 +280,9 @@ def inspect_files(directory: Path, manifest: CaseManifest) -> tuple[OpenBundle, 
             problems.append(Problem(place, reason))
             continue
         if (size := file.stat().st_size) != entry.size:
-            problems.append(Problem(place, f"has {size} bytes instead of {entry.size}: it was changed"))
+            problems.append(
+                Problem(place, f"has {size} bytes instead of {entry.size}: copy the case again, or build it anew")
+            )
         if entry.role in ARRAYS:
             headers[entry.role], found = read_layout(file, entry.role, stated(manifest, "format_version"))
             problems += found

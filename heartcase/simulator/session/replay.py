@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, cast, get_args
 
 import numpy as np
@@ -136,7 +137,9 @@ def check_frame_count(recording: Recording, frames_per_second: float) -> None:
     """
     count = round(recording.seconds * frames_per_second) + 1
     if count > FRAMES_MAX:
-        raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: give fewer", place="--frames-per-second")
+        most = math.floor(10.0 * (FRAMES_MAX - 2) / recording.seconds) / 10.0
+        advice = f"give {most:g} or less" if most > 0.0 else "show a shorter recording"
+        raise UsageError(f"{count:,} frames are more than {FRAMES_MAX:,}: {advice}", place="--frames-per-second")
 
 
 def frame_steps(session: OperatingSession, frames_per_second: float) -> list[int]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pygltflib
@@ -14,11 +16,11 @@ from PIL import Image
 
 from heartcase.cli.main import main
 from heartcase.cli.sessions import record, replay
-from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.errors import SimulationError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import load_case
 from heartcase.simulator.patching.sewn_mesh import sewn_mesh
-from heartcase.simulator.session.replay import frame_steps, load_session
+from heartcase.simulator.session.replay import check_frame_count, frame_steps, load_session
 from heartcase.simulator.session.script import load_script, run_script
 from heartcase.simulator.simulation import Simulation
 
@@ -161,7 +163,7 @@ def test_each_refusal_is_a_line(case_path, recorded, script, tmp_path, capsys):
         (["replay", str(recorded), "--case", str(tmp_path)], "this is not a case"),
         (["record", str(case_path), "--out", str(recorded)], "something at this path already"),
         (["record", str(case_path), "--out", str(tmp_path / "no" / "x.recording")], "make it first"),
-        (["record", str(case_path), "--state-every", "nan", *out], "must be numbers"),
+        (["record", str(case_path), "--state-every", "nan", *out], "heartcase: --state-every: must be numbers"),
         (["export", str(case_path), "--recording", str(recorded), "-o", str(tmp_path / "x.stl")], ".html, .gif, .mp4"),
         (["export", str(case_path), "--recording", str(damaged), "-o", str(tmp_path / "x.glb")], "was cut short"),
         (["preview", str(recorded), "--out", str(tmp_path / "x.png")], "a recording is shown in motion"),
@@ -364,3 +366,19 @@ def test_a_glb_shows_what_is_sewn_while_it_is_there(case_path, tmp_path, capsys)
     assert counts[0] == 0
     assert len(set(counts)) == 4
     assert counts[1:] != sorted(counts[1:])
+
+
+@pytest.mark.parametrize("seconds", [250.0, 312.53, 5_999.9])
+def test_too_many_frames_are_refused_with_a_rate_that_is_not(seconds):
+    recording = SimpleNamespace(seconds=seconds)
+    with pytest.raises(UsageError, match=r"frames are more than 3,000: give ([\d.]+) or less") as caught:
+        check_frame_count(recording, 15.0)
+    rate = float(re.search(r"give ([\d.]+)", str(caught.value))[1])
+    check_frame_count(recording, rate)
+    with pytest.raises(UsageError):
+        check_frame_count(recording, rate + 0.2)
+
+
+def test_a_recording_that_no_rate_fits_is_said_to_be_too_long():
+    with pytest.raises(UsageError, match="show a shorter recording"):
+        check_frame_count(SimpleNamespace(seconds=1e6), 0.1)
