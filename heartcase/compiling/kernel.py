@@ -16,8 +16,10 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 
 from heartcase.compiling.compile_lock import compiled_by_one
 from heartcase.compiling.loops import LoopKernel
+from heartcase.compiling.operators import remembered_operators
 from heartcase.compiling.shape_errors import short_shape_errors
 from heartcase.compiling.sources import source_stamp
+from heartcase.compiling.unneeded_work import without_unneeded_work
 
 __all__ = ["KERNELS", "cache_folder", "kernel", "loop_kernel", "write_unfinished_to"]
 
@@ -83,11 +85,11 @@ def _compiled(function: Callable[..., Any], *, cached: bool, options: dict[str, 
 
         compile_it = dispatcher.compile
 
-        def with_short_errors(signature: Any) -> Any:
-            with short_shape_errors():
+        def compile_quickly(signature: Any) -> Any:
+            with short_shape_errors(), remembered_operators(), without_unneeded_work():
                 return compile_it(signature)
 
-        dispatcher.compile = compiled_by_one(with_short_errors, dispatcher.overloads.__contains__, lock)
+        dispatcher.compile = compiled_by_one(compile_quickly, dispatcher.overloads.__contains__, lock)
     return dispatcher
 
 
