@@ -132,9 +132,42 @@ def _first_from(spring_nodes, node):
     return low
 
 
+@kernel(cached=False)
+def _share_out(ways, whole, times):
+    """How often each spring of a node counts, so that each way counts alike; returns how often all do together."""
+    present = 0
+    for at in range(len(ways)):
+        present |= 1 << ways[at]
+    cut = whole & ~present
+    way_count, all_times = 0, 1
+    for at in range(len(ways)):
+        same, is_first = 0, True
+        for other in range(len(ways)):
+            if ways[other] == ways[at]:
+                same += 1
+                is_first = is_first and other >= at
+        times[at] = 0 if cut >> (ways[at] ^ 1) & 1 else same
+        if times[at]:
+            way_count += is_first
+            one, other = all_times, same
+            while other:
+                one, other = other, one % other
+            all_times *= same // one
+    for at in range(len(ways)):
+        if times[at]:
+            times[at] = all_times // times[at]
+    return all_times * way_count
+
+
 @kernel
-def gather_near(spring_nodes, spring_direction, directions, origins, lowest, nodes, first, neighbours, offset):
+def gather_near(
+    spring_nodes, spring_direction, directions, origins, lowest, ways_whole, nodes, first, neighbours, offset
+):
     """List the springs of some nodes, node by node, by neighbour; returns how many there are, and room is needed for.
+
+    A normal is the sum of the ways. So that it does not turn towards a cut, where a node has springs to several copies
+    of one place, those of each way are listed as often as those of any other, and of two opposite ways of which one was
+    cut the other is left out, too: they had cancelled.
 
     Parameters
     ----------
@@ -143,6 +176,8 @@ def gather_near(spring_nodes, spring_direction, directions, origins, lowest, nod
     origins, lowest
         Node of the uncut lattice that each node is, or is a copy of, and the lowest node that a spring of the uncut
         lattice joins to each of its nodes, or itself.
+    ways_whole
+        Ways of the springs of the uncut lattice's nodes: see :func:`heartcase.simulator.surface.deform.ways_of_nodes`.
     nodes
         Those that are asked for, ascending.
     first
@@ -175,10 +210,7 @@ def gather_near(spring_nodes, spring_direction, directions, origins, lowest, nod
                     counts[other + 1] += 1
     for n in range(len(nodes)):
         counts[n + 1] += counts[n]
-    first[:] = counts
     total = counts[len(nodes)]
-    if total > len(neighbours):
-        return total
     ends, ways = np.empty(total, np.int64), np.empty(total, np.int64)
     filled = counts.copy()
     for spring in near[:count]:
@@ -186,19 +218,29 @@ def gather_near(spring_nodes, spring_direction, directions, origins, lowest, nod
             n = row[spring_nodes[spring, end]]
             if n < 0:
                 continue
-            node, way = spring_nodes[spring, 1 - end], 2 * spring + end
+            node, way = spring_nodes[spring, 1 - end], 2 * spring_direction[spring] + end
             at = filled[n]
             while at > counts[n] and ends[at - 1] > node:
                 ends[at], ways[at] = ends[at - 1], ways[at - 1]
                 at -= 1
             ends[at], ways[at] = node, way
             filled[n] += 1
+    times = np.empty(total, np.int64)
+    first[0] = 0
+    for n in range(len(nodes)):
+        its = ways[counts[n] : counts[n + 1]]
+        first[n + 1] = first[n] + _share_out(its, ways_whole[origins[nodes[n]]], times[counts[n] : counts[n + 1]])
+    if first[len(nodes)] > len(neighbours):
+        return first[len(nodes)]
+    row_of = 0
     for at in range(total):
-        neighbours[at] = ends[at]
-        for axis in range(3):
-            along = directions[spring_direction[ways[at] // 2], axis]
-            offset[at, axis] = along if ways[at] % 2 else -along
-    return total
+        along = directions[ways[at] // 2]
+        for _ in range(times[at]):
+            neighbours[row_of] = ends[at]
+            for axis in range(3):
+                offset[row_of, axis] = along[axis] if ways[at] % 2 else -along[axis]
+            row_of += 1
+    return row_of
 
 
 @kernel

@@ -35,6 +35,7 @@ from heartcase.simulator.surface.deform import (
     interpolated_basis,
     rest_normals,
     triangle_basis,
+    ways_of_nodes,
 )
 
 __all__ = ["CuttableSurface", "SplitSurface", "split_surface"]
@@ -61,6 +62,8 @@ class CuttableSurface:
     """Approximate normals at rest of the nodes that these need, shape (at least 1, 3)."""
     lowest_neighbours: Int32
     """Lowest node that a spring joins to each node, or itself, shape (node_count,)."""
+    ways: Int64
+    """Ways of the springs of each node: see :func:`heartcase.simulator.surface.deform.ways_of_nodes`."""
     tied: TiedSurface
     """What its vertices follow."""
 
@@ -81,7 +84,7 @@ class CuttableSurface:
         curved, at_rest = np.flatnonzero(surface.curvature), rest_normals(surface.normals_of)
         lowest = np.arange(model.node_count, dtype=np.int32)
         np.minimum.at(lowest, model.spring_nodes[:, 1], model.spring_nodes[:, 0])
-        return cls(model, surface, mesh, normals, curved, at_rest, lowest, tied)
+        return cls(model, surface, mesh, normals, curved, at_rest, lowest, ways_of_nodes(model), tied)
 
     def samples(self) -> TissueSamples:
         """Samples of the tissue inside the surface."""
@@ -364,6 +367,7 @@ def _gathered(cuttable: CuttableSurface, parted: PartedLattice, nodes: Int64) ->
             DIRECTIONS,
             parted.node_origin,
             cuttable.lowest_neighbours,
+            cuttable.ways,
             nodes,
             first,
             neighbours,

@@ -11,12 +11,13 @@ from heartcase.simulator.arrangement.sheet_mesh import NO_SHEETS, merged_mesh
 from heartcase.simulator.arrangement.surface_crossings import is_inside
 from heartcase.simulator.cutting.crossings import QUANTA
 from heartcase.simulator.cutting.parted_lattice import part
+from heartcase.simulator.lattice.model import DIRECTIONS
 from heartcase.simulator.splitting.gluing import number_parts
 from heartcase.simulator.splitting.hanging_kernels import hang_on
 from heartcase.simulator.splitting.split_surface import _gathered
 from heartcase.simulator.splitting.surface_binding import closest_weights
 from heartcase.simulator.splitting.surface_split import split_mesh
-from heartcase.simulator.surface.deform import gather_springs, triangle_basis
+from heartcase.simulator.surface.deform import gather_springs, triangle_basis, ways_of_nodes
 from tests.simulator.splitting.plain_arrangement import plain_arrangement, plain_mesh
 from tests.simulator.splitting.surfaces import plane, sheets
 from tests.simulator.splitting.test_split_surface import BENT, CUTTABLE, MODEL, TISSUE, strokes
@@ -66,7 +67,10 @@ def test_parts_springs_and_weights_near_a_cut_are_those_of_whole_passes(blades, 
     parted = part(MODEL, blades, TISSUE)
     model = parted.model
     nodes = np.flatnonzero(rng.random(model.node_count) < 0.4)
-    found, wanted = _gathered(BENT, parted, nodes), gather_springs(model, nodes)
+    found, wanted = (
+        _gathered(BENT, parted, nodes),
+        gather_springs(model, nodes, ways_of_nodes(MODEL)[parted.node_origin]),
+    )
     same(found.springs, wanted.springs)
     tied = model.cell_corners[rng.integers(0, model.cell_count, 20)][:, [0, 1, 5]]
     corners = model.node_index[tied].astype(float)
@@ -86,3 +90,23 @@ def test_a_point_is_inside_a_box_or_not():
     wanted = ((points > 0) & (points < high)).all(axis=1)
     np.testing.assert_array_equal(found, wanted)
     assert 0 < wanted.sum() < len(wanted)
+
+
+@settings(max_examples=15, deadline=None)
+@given(sheets())
+def test_normals_of_nodes_do_not_turn_towards_a_cut(blades):
+    parted = part(MODEL, blades, TISSUE)
+    nodes = np.arange(parted.model.node_count)
+    found = _gathered(BENT, parted, nodes)
+    whole = gather_springs(MODEL, np.arange(MODEL.node_count))
+    for node in nodes:
+        ways = found.offset[found.first[node] : found.first[node + 1]]
+        origin = parted.node_origin[node]
+        before = {tuple(way) for way in whole.offset[whole.first[origin] : whole.first[origin + 1]]}
+        ends = parted.model.spring_nodes == node
+        along = DIRECTIONS[parted.model.spring_direction]
+        left = {tuple(way) for way in np.concatenate([-along[ends[:, 0]], along[ends[:, 1]]]).astype(np.float32)}
+        kept, times = np.unique(ways, axis=0, return_counts=True)
+        opposite = {tuple(-np.array(way)) for way in before - left}
+        assert {tuple(way) for way in kept} == left - opposite
+        assert len(set(times)) <= 1
