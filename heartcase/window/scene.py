@@ -8,7 +8,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.live.shapes import Structures, grey_range, slice_corners_mm, slice_greys, stretch_colours
 from heartcase.simulator.load import ScanVolume
 from heartcase.simulator.surface.deform import SurfaceModel

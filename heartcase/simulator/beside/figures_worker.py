@@ -26,7 +26,7 @@ from heartcase.simulator.incisions.figures import IncisionFigures
 from heartcase.simulator.incisions.held_open import Incision, ShownHeart, seen_through
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.live.cuts_done import Moment
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 
 __all__ = ["HELD_BY", "FiguresWorker", "LiveFigures", "figures_of"]
 

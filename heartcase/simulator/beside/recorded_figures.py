@@ -24,7 +24,7 @@ from heartcase.schemas.scripts.incision_plans import ShaftSettings
 from heartcase.simulator.beside.figures_worker import LiveFigures, figures_of
 from heartcase.simulator.incisions.stated_defects import landmarks_with_defects
 from heartcase.simulator.live.cuts_done import Moment
-from heartcase.simulator.live.live import moment_of
+from heartcase.simulator.live.live_frame import moment_of
 from heartcase.simulator.load import Case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session

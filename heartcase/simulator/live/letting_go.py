@@ -6,7 +6,7 @@ import numpy as np
 
 from heartcase.schemas.recording.commands import Done, OpenGrab, TakeOutPatch, TakeOutStitch, WithdrawProbe
 from heartcase.schemas.recording.tool_commands import WithdrawScissors
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.live.rays import CutPlane
 from heartcase.simulator.live.tool import Held
 

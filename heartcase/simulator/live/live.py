@@ -11,13 +11,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 import numba
 
-from heartcase.schemas.arrays import Float64, Int32
 from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.errors import HeartcaseError, RecordingError, SimulationError
 from heartcase.schemas.recording.commands import (
@@ -32,16 +31,14 @@ from heartcase.schemas.recording.commands import (
     Undo,
     WithdrawProbe,
 )
-from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.live.cuts_done import ActMarks, CutsDone, Kept, Moment
-from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals, held_by, places_mm, probe_axes_mm
-from heartcase.simulator.live.tool import Held
+from heartcase.simulator.live.cuts_done import ActMarks, CutsDone, Kept
+from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals, places_mm
+from heartcase.simulator.live.live_frame import LiveFrame, moment_of
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
-from heartcase.simulator.surface.deform import SurfaceModel
 
-__all__ = ["FRAME_S", "Live", "LiveFrame", "moment_of"]
+__all__ = ["FRAME_S", "Live"]
 
 FRAME_S = 1.0 / 40.0
 """Time from frame to frame where the machine keeps up, s."""
@@ -56,43 +53,6 @@ _MEASURED_S = 1.0
 """Over how long the pace is measured, s."""
 _JOIN_S = 60.0
 """How long a frame may take at most to end before its thread is given up, s: a rewind works out some seconds again."""
-
-
-@dataclass(frozen=True)
-class LiveFrame:
-    """A moment, with all that a window or a page shows of it. Nothing of it changes later."""
-
-    frame: Frame
-    """Tissue, instruments and stitches, with the visible surface where it is wanted."""
-    surface: SurfaceModel
-    """What the surface's vertices follow, and its triangles."""
-    triangle_origin: Int32 | None
-    """Triangle of the uncut surface that each is a part of, -1 for cut faces, shape (triangle_count,); None where
-    nothing is cut."""
-    tissue_cuts: Cuts | None
-    """All that was cut of the lattice; None where nothing is."""
-    held: tuple[Held, ...]
-    """What holds tissue."""
-    probes: dict[str, Float64]
-    """Name of each probe -> its semi-axes in columns, then half of the line it is swept along; LPS mm, shape (3, 4)."""
-    mode: str
-    """``running``, ``paused`` or ``playing`` (what is known is done again)."""
-    real_time_factor: float | None
-    """Simulated time over time that went by, during the last second or so; None while it does not run."""
-    steps_per_second: float | None
-    """Steps taken for each second that went by; None while it does not run."""
-    ahead_s: float
-    """Simulated time that is known from here on, after going back, s."""
-    recording: str | None
-    """Name of the folder that is recorded into."""
-    act_count: int
-    """Acts that are done."""
-    cuts: tuple[Cut, ...] = ()
-    """Cuts that are done, as the history has them: at rest. The same object while they are the same."""
-    unheld: Moment | None = None
-    """The surface when it was last seen cut with no instrument in it; None where it was not seen so."""
-    marks: tuple[tuple[int, str], ...] = ()
-    """Steps of cuts, patches and stitches that are known, and what each is; the same object while they are the same."""
 
 
 class Live:
@@ -491,23 +451,3 @@ class Live:
             unheld=self._cuts_done.unheld,
             marks=self._act_marks.marks,
         )
-
-
-def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFrame:
-    """A session as it stands, paused; its simulation has a surface. ``frame`` is that moment's, where it is known."""
-    simulation = session.simulation
-    assert simulation.surface is not None
-    return LiveFrame(
-        frame=frame or session.frame(surface=True),
-        surface=simulation.surface,
-        triangle_origin=None if simulation.split is None else simulation.split.triangle_origin,
-        tissue_cuts=simulation.cuts,
-        held=held_by(simulation),
-        probes=probe_axes_mm(simulation),
-        mode="paused",
-        real_time_factor=None,
-        steps_per_second=None,
-        ahead_s=(session.end_step - session.step_count) * simulation.step_s,
-        recording=None,
-        act_count=0,
-    )

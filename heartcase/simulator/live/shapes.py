@@ -10,7 +10,7 @@ from heartcase.schemas.arrays import Bool, Float64, Int32, UInt8
 from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.simulator.incisions.strain import values_at_vertices, vertex_colours
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.load import ScanVolume
 
 __all__ = [

@@ -12,7 +12,7 @@ from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recording.reader import Recording, open_recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.live.cuts_done import ActMarks, CutsDone
-from heartcase.simulator.live.live import LiveFrame, moment_of
+from heartcase.simulator.live.live_frame import LiveFrame, moment_of
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import (

@@ -9,7 +9,7 @@ from typing import Any
 
 from heartcase.schemas.errors import HeartcaseError, Problem
 from heartcase.simulator.case_simulation import simulation_of_case
-from heartcase.simulator.live.live import LiveFrame, moment_of
+from heartcase.simulator.live.live_frame import LiveFrame, moment_of
 from heartcase.simulator.load import Case
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession

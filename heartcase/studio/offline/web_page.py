@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.simulator.case_simulation import DAMPING_PER_S
-from heartcase.simulator.live.live import LiveFrame, moment_of
+from heartcase.simulator.live.live_frame import LiveFrame, moment_of
 from heartcase.simulator.live.shapes import CUT_FACES, Structures
 from heartcase.simulator.load import Case
 from heartcase.simulator.session.operating_session import OperatingSession

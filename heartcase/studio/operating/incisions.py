@@ -13,7 +13,7 @@ from heartcase.schemas.scripts.incision_plans import LipHands, PlannedCut, Plann
 from heartcase.simulator.incisions.blade_line import incision_of_blade
 from heartcase.simulator.incisions.held_open import ShownHeart
 from heartcase.simulator.incisions.planned import blade_poses, drawn_line, lip_hands, problems_of_cut
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.load import Case
 from heartcase.simulator.surface.deform import deform
 

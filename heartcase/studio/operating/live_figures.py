@@ -10,7 +10,7 @@ from typing import Any
 from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.beside.figures_worker import FiguresWorker, LiveFigures
 from heartcase.simulator.incisions.figures import IncisionFigures
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.studio.messages import text_message
 from heartcase.studio.operating.incisions import Incisions
 

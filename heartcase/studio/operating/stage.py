@@ -20,7 +20,8 @@ from heartcase.simulator.case_simulation import simulation_of_case
 from heartcase.simulator.haptics.servo import HapticServo
 from heartcase.simulator.incisions.stated_defects import landmarks_with_defects
 from heartcase.simulator.incisions.strain import vertex_colours
-from heartcase.simulator.live.live import FRAME_S, Live, LiveFrame
+from heartcase.simulator.live.live import FRAME_S, Live
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES, STRETCH_SHOWN, Structures
 from heartcase.simulator.live.strain_worker import StrainWorker
 from heartcase.simulator.live.tools import TOOLS

@@ -12,7 +12,7 @@ from heartcase.schemas.arrays import Float64, Int32
 from heartcase.simulator.beside.device_hand import ShownDevice
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.live.hands import Hands
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.live.rays import CutPlane, Hit, Pointer, Ray, first_hit, first_hit_beside
 from heartcase.simulator.surface.deform import SurfaceModel, deform
 from heartcase.studio.operating.incisions import is_held_open

@@ -11,7 +11,7 @@ import numpy as np
 from heartcase.schemas.arrays import Int32
 from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.simulator.cutting.cuts import Cuts
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.live.newest_worker import NewestWorker
 from heartcase.simulator.live.shapes import structures_after_cuts
 from heartcase.simulator.load import load_case

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float32, Float64, Int16, Int32, UInt8
-from heartcase.simulator.live.live import LiveFrame
+from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.live.shapes import CUT_FACES
 from heartcase.simulator.surface.deform import SurfaceModel
 from heartcase.studio.operating.scene.coarser import CoarseLevel
