@@ -378,6 +378,14 @@ def test_volumes_the_checklist_and_the_next_place(chromium, painted):
             if len(found) > 1:
                 # one after the other, of those that were found together
                 page.tab.locator("#place").get_by_text(f"Place 1 of {len(found) - 1}").wait_for()
+                assert page.tab.locator("#place .enough").count() == 0
+                # those that are left, and the first of them once more
+                for number in range(1, len(found)):
+                    page.tab.keyboard.press("n")
+                    again = number == len(found) - 1
+                    page.tab.locator("#place").get_by_text(f"Place {1 if again else number + 1} of").wait_for()
+                    assert page.tab.locator("#place .enough").count() == again
+                assert "You have looked at all of these" in page.text("#place .enough")
 
 
 def test_two_pages_follow_one_another(chromium, painted):

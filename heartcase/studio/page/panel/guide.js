@@ -26,6 +26,10 @@ export class Guide {
   /** Where to look, best first; null when they must be asked for anew. @type {Place[] | null} */
   #places = null;
   #at = -1;
+  /** Those that were shown. @type {Set<Place>} */
+  #shown = new Set();
+  /** Whether the one that is shown had been shown before, and all others, too. */
+  #isSecondRound = false;
   /** Places that were said to be right since the page was opened. */
   #rightCount = 0;
   /** How far each structure is, as it was worked out last. @type {Record<string, string>} */
@@ -74,10 +78,13 @@ export class Guide {
         return;
       }
       this.#at = -1;
+      this.#shown.clear();
     }
     const places = this.#places ?? [];
+    this.#isSecondRound = places.every((one) => this.#shown.has(one));
     if (places.length > 0) {
       this.#at = (this.#at + 1) % places.length;
+      this.#shown.add(places[this.#at]);
       this.views.lookAt(places[this.#at].position_mm);
     }
     this.#showPlace();
@@ -144,8 +151,9 @@ export class Guide {
       return;
     }
     const at = say("place_of", { at: this.#at + 1, count: this.#places.length });
+    const enough = this.#isEnough ? (this.#isComplete ? "places_enough" : "places_enough_marked") : this.#isSecondRound ? "places_seen" : null;
     place.replaceChildren(
-      ...(this.#isEnough ? [element("strong", "enough", say(this.#isComplete ? "places_enough" : "places_enough_marked"))] : []),
+      ...(enough ? [element("strong", "enough", say(enough))] : []),
       element("strong", "", this.#rightCount ? `${at} · ${say("places_right", { count: this.#rightCount })}` : at),
       element("span", "", say("place_says", {
         label: structureName(shown.label),

@@ -89,6 +89,7 @@ export const words = {
   no_place: "Keine Stelle ist so unsicher, dass sich ein Strich lohnt.",
   places_enough: "Alle Strukturen sind sicher: Was übrig ist, ändert wenig.",
   places_enough_marked: "Alles Markierte ist sicher. Was noch nötig ist, kann darin liegen: Markieren Sie auch das.",
+  places_seen: "Sie haben alle diese Stellen angesehen: Was stimmt, kann so bleiben.",
   checklist: "Noch nötig",
   item_done: "Erledigt:",
   item_open: "Fehlt:",

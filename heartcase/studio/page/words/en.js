@@ -88,6 +88,7 @@ export const words = {
   no_place: "No place is unsure enough to be worth a stroke.",
   places_enough: "All structures are confident: what is left changes little.",
   places_enough_marked: "All that is marked is confident. What is still needed may lie in it: mark that, too.",
+  places_seen: "You have looked at all of these: what is right can stay as it is.",
   checklist: "Still needed",
   item_done: "Done:",
   item_open: "Missing:",
