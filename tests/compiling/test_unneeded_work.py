@@ -2,7 +2,7 @@
 
 import numba
 import numpy as np
-from numba.core.codegen import CPUCodeLibrary
+from numba.core.codegen import CPUCodegen, CPUCodeLibrary
 from numba.core.lowering import Lower
 
 from heartcase.compiling.kernel import kernel
@@ -32,12 +32,15 @@ largest_of = kernel(largest, cached=False)
 
 
 def test_only_bodies_are_optimised(monkeypatch):
+    runs, make = [], CPUCodegen._function_pass_manager
+    monkeypatch.setattr(CPUCodegen, "_function_pass_manager", lambda codegen: runs.append(1) or make(codegen))
     kept = CPUCodeLibrary._optimize_functions, Lower.create_cfunc_wrapper
-    compiled = kernel(largest, cached=False)
-    with without_unneeded_work():
-        found = compiled(np.array([2.0, 5.0]))
-    assert found == numba.njit(largest)(np.array([2.0, 5.0])) == 8.0
-    assert (CPUCodeLibrary._optimize_functions, Lower.create_cfunc_wrapper) == kept
+    plain, ours = kernel(largest, cached=False), kernel(largest, cached=False)
+    found, run_count = plain(np.array([2.0, 5.0])), len(runs)
+    runs.clear()
     with without_unneeded_work():
         assert (CPUCodeLibrary._optimize_functions, Lower.create_cfunc_wrapper) != kept
+        assert ours(np.array([2.0, 5.0])) == found == 8.0
+    # what has no body has no passes
+    assert 0 < len(runs) < run_count / 2
     assert (CPUCodeLibrary._optimize_functions, Lower.create_cfunc_wrapper) == kept

@@ -357,7 +357,7 @@ def _node_normals(
 
 
 def _gathered(cuttable: CuttableSurface, parted: PartedLattice, nodes: Int64) -> NodeNormals:
-    """The springs of some nodes, as :func:`heartcase.simulator.surface.deform.gather_springs` gives them."""
+    """The springs of some nodes, as ``gather_springs`` has them; but of opposite ways of which one was cut none."""
     model, first, room = parted.model, np.empty(len(nodes) + 1, np.int32), 24 * len(nodes)
     while True:
         neighbours, offset = np.empty(room, np.int32), np.empty((room, 3), np.float32)

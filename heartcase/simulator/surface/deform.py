@@ -349,25 +349,15 @@ def write_vertices(
 
 
 def ways_of_nodes(model: LatticeModel) -> Int64:
-    """Ways of each node's springs, as bits, shape (node_count,): 2 d where one goes along direction d, 2 d + 1 else."""
+    """Ways of each node's springs, as bits: 2 d where one goes along direction d, 2 d + 1 against it; (node_count,)."""
     ways = np.zeros(model.node_count, np.int64)
     for end in (0, 1):
         np.bitwise_or.at(ways, model.spring_nodes[:, end], 1 << 2 * model.spring_direction.astype(np.int64) + end)
     return ways
 
 
-def gather_springs(model: LatticeModel, nodes: Int32, uncut_ways: Int64 | None = None) -> NodeNormals:
-    """The springs of some nodes, node by node.
-
-    Parameters
-    ----------
-    model
-        The lattice. Where it was cut, springs to several copies of a place count together as one to another place.
-    nodes
-        Those that are asked for, ascending.
-    uncut_ways
-        Ways of the node that each was before it was cut: opposite to what is missing of these none counts.
-    """
+def gather_springs(model: LatticeModel, nodes: Int32) -> NodeNormals:
+    """The springs of some nodes, node by node; those to several copies of one place count together as any other."""
     number = np.full(model.node_count, -1)
     number[nodes] = np.arange(len(nodes))
     is_near = number >= 0
@@ -379,9 +369,6 @@ def gather_springs(model: LatticeModel, nodes: Int32, uncut_ways: Int64 | None =
     kept = kept[np.argsort(ends[kept, 0].astype(np.int64) * model.node_count + ends[kept, 1])]
     direction = 2 * model.spring_direction[near].astype(np.int64)
     ways = np.concatenate([direction, direction + 1])
-    if uncut_ways is not None:
-        cut = uncut_ways & ~ways_of_nodes(model)
-        kept = kept[cut[ends[kept, 0]] >> (ways[kept] ^ 1) & 1 == 0]
     asked = number[ends[kept, 0]]
     _, way_of, copy_count = np.unique(asked * 256 + ways[kept], return_inverse=True, return_counts=True)
     together = np.ones(len(nodes), np.int64)
