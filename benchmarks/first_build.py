@@ -1,7 +1,8 @@
 """The command ``heartcase build`` as a user meets it: the first time with nothing compiled, and with all compiled.
 
 Each run is a process of its own. In a first one, numba's cache is an empty folder, Python has read no source of ours
-before, and the scan is there already. The peer compiles every kernel when it is called, in the one process.
+before (those of other packages it has, as after an installation), and the scan is there already. The peer compiles
+every kernel when it is called, in the one process.
 """
 
 from __future__ import annotations
@@ -16,15 +17,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import heartcase as heartcase_package
 from benchmarks.build import write_inputs
 from heartcase.schemas.bundle.check import check_bundle
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """A directory with scan and recipe, and numba's cache."""
+    """A directory with scan and recipe, our source, of which a first build has a copy, and numba's cache."""
 
     directory: Path
+    source: Path
     cache: Path
     first: bool
 
@@ -49,8 +52,11 @@ def prepare(params: dict[str, Any]) -> Inputs:
     first = params.pop("first")
     directory = Path(tempfile.mkdtemp(prefix="heartcase-benchmark-first-"))
     write_inputs(params, directory)
-    cache = directory / "numba" if first else _KEPT
-    inputs = Inputs(directory, cache, first)
+    package = Path(heartcase_package.__file__).parent
+    if first:
+        copy = directory / "source" / package.name
+        package = shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    inputs = Inputs(directory, package.parent, directory / "numba" if first else _KEPT, first)
     if not first:
         _build(inputs, _AHEAD)
     return inputs
@@ -75,13 +81,15 @@ METHODS = {"heartcase": heartcase, "without_compiling_ahead": without_compiling_
 def _build(inputs: Inputs, before: str) -> Output:
     if inputs.first:
         shutil.rmtree(inputs.cache, ignore_errors=True)
+        for made in list(inputs.source.rglob("__pycache__")):
+            shutil.rmtree(made)
     manifest = inputs.directory / "bench.case" / "case.json"
     manifest.unlink(missing_ok=True)
     arguments = ["build", str(inputs.directory / "recipe.toml"), "--out", str(inputs.directory), "--force"]
     start, seconds_to_case = time.perf_counter(), float("nan")
     process = subprocess.Popen(
-        [sys.executable, "-c", before + _COMMAND, *arguments],
-        env=_environment(inputs.cache),
+        [sys.executable, "-P", "-c", before + _COMMAND, *arguments],
+        env=_environment(inputs),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -93,10 +101,11 @@ def _build(inputs: Inputs, before: str) -> Output:
     return Output(process.returncode, time.perf_counter() - start, seconds_to_case, load)
 
 
-def _environment(cache: Path) -> dict[str, str]:
-    """Variables of this process, with a cache of numba's; Python keeps its own there, as it does for users."""
+def _environment(inputs: Inputs) -> dict[str, str]:
+    """Variables of this process, with a cache of numba's, and our source before all else."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    return kept | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPYCACHEPREFIX": str(cache / "python")}
+    places = os.pathsep.join([str(inputs.source), *filter(None, [kept.get("PYTHONPATH")])])
+    return kept | {"NUMBA_CACHE_DIR": str(inputs.cache), "PYTHONPATH": places}
 
 
 def errors(inputs: Inputs, output: Output) -> dict[str, float]:

@@ -17,7 +17,7 @@ from heartcase.pipeline.building import run
 from heartcase.pipeline.building.kernels_ahead import kernels_needed
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.ball import write_ball_recipe, write_ball_scan
-from tests.pipeline.building.kernels_called import small_recipe
+from tests.pipeline.building.kernels_called import sample_recipe
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def case(path):
 def test_what_one_of_the_recipes_needs_is_compiled_and_nothing_else(tmp_path, asked):
     bare = write_ball_recipe(tmp_path / "scan.nii.gz", tmp_path / "bare.toml", parts="parts = []")
     surface = write_ball_recipe(tmp_path / "scan.nii.gz", tmp_path / "surface.toml", parts='parts = ["surface"]')
-    phantom = small_recipe(tmp_path)
+    phantom = sample_recipe(tmp_path)
     broken = tmp_path / "broken.toml"
     broken.write_text("name = ")
     ofs = [keys(bare, makes_scan=False), keys(surface, makes_scan=False), keys(phantom, makes_scan=True)]

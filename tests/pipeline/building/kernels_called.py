@@ -1,7 +1,7 @@
-"""Which kernels a small build calls, and with which types: run as a module, with FOLDER and OUTPUT as arguments.
+"""Which kernels the first build of a sample case calls, and with which types: run as a module, with FOLDER and OUTPUT as arguments.
 
-A process of its own builds the adult phantom, coarsely, with the stages one after the other, and writes for each kernel
-that Python called the stage that called it first. What was compiled for it, rather than found in numba's cache, has its
+A process of its own builds the adult phantom, with the stages one after the other, and writes for each kernel that
+Python called the stage that called it first. What was compiled for it, rather than found in numba's cache, has its
 seconds.
 """
 
@@ -33,11 +33,10 @@ class _Compiled(event.Listener):
         self.seconds[tuple(key)] = time.process_time() - start
 
 
-def small_recipe(folder: Path) -> Path:
-    """The adult phantom at twice the spacing, with its scan made in the folder."""
-    text = RECIPE.read_text().replace("../out/adult_phantom/", "")
-    path = folder / "small.toml"
-    path.write_text(text.replace("spacing_mm = [1.75, 1.75, 1.75]", "spacing_mm = [3.5, 3.5, 3.5]"))
+def sample_recipe(folder: Path) -> Path:
+    """The adult phantom's, with its scan made in the folder; a coarser scan has no flat minimum to suggest strokes in."""
+    path = folder / RECIPE.name
+    path.write_text(RECIPE.read_text().replace("../out/adult_phantom/", ""))
     return path
 
 
@@ -96,7 +95,7 @@ def main(folder: Path, output: Path) -> None:
         def stage_finished(self, stage, *, seconds, reused):
             called.note(stage)
 
-    recipe = load_recipe(small_recipe(folder))
+    recipe = load_recipe(sample_recipe(folder))
     ensure_scan(recipe.scan, folder)
     called.note("scan")
     build_case(recipe, directory=folder, out=folder, listener=Ear(), force=True)

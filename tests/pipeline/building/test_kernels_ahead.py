@@ -10,11 +10,11 @@ from pathlib import Path
 from heartcase.pipeline.building.kernels_ahead import LIST, SCAN, kernels_needed
 from heartcase.pipeline.stages.table import steps
 from heartcase.schemas.recipe.recipe import load_recipe
-from tests.pipeline.building.kernels_called import small_recipe
+from tests.pipeline.building.kernels_called import sample_recipe
 
 
 def called(environment=os.environ, module="tests.pipeline.building.kernels_called"):
-    """Kernels that a small build calls, with the stage that calls each first, when all of them are in the cache.
+    """Kernels that the build of a sample case calls, with the stage that calls each first, when all of them are in the cache.
 
     Or what another module's process calls.
     """
@@ -65,7 +65,7 @@ def test_a_build_calls_what_is_listed_and_nothing_else():
 
 
 def test_only_stages_that_a_build_takes_are_compiled_for(tmp_path):
-    recipe = load_recipe(small_recipe(tmp_path))
+    recipe = load_recipe(sample_recipe(tmp_path))
     listed = json.loads(LIST.read_text())
     names = {one["name"] for one in listed["surface"]} - {one["name"] for one in listed["segment"]}
     assert {one.name for one in kernels_needed(recipe, until="segment")} & names == set()
