@@ -19,8 +19,8 @@ from heartcase.schemas.arrays import Bool, Float64
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 LENGTH, PLACE, LEFT = 4.0, 2.0, 0.5
 """Length of the bar, place of the cut, and what is left of the bar's height under it."""

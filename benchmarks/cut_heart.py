@@ -27,8 +27,8 @@ from heartcase.simulator.dynamics.step_size import default_step
 from heartcase.simulator.engine.backends import make_engine
 from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.shared.contact import NO_PROBES
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 
 TISSUE = TissueSamples.everywhere()

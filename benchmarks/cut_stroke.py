@@ -34,7 +34,7 @@ from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.cutting.parted_lattice import links_together
 from heartcase.simulator.cutting.pieces import find_pieces
 from heartcase.simulator.engine.backends import make_engine
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.perform_tools import as_poses

@@ -42,8 +42,8 @@ from benchmarks.statics import NoEquilibriumError
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.dynamics.step_size import SAFETY
 from heartcase.simulator.engine.backends import make_engine
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 
 THICKNESS_MM = 10.0

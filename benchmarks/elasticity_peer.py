@@ -9,7 +9,7 @@ from skfem.models.elasticity import linear_elasticity
 
 from benchmarks.elasticity_scenes import Field, Scene
 from benchmarks.statics import solve_linear
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 
 def solve_trilinear(scene: Scene, cells_per_unit: int, law: ForceLaw) -> float:

@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.statics import Held, equilibrium
 from heartcase.schemas.arrays import Bool, Float64
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 Led = tuple[Bool, Float64]
 """Which components of which nodes are led, and where to, shape (n, 3) each."""

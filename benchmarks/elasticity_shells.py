@@ -13,8 +13,8 @@ import numpy as np
 from benchmarks.elasticity_voxels import located, voxelised
 from benchmarks.statics import solve_linear, stiffness
 from heartcase.schemas.arrays import Bool, Float64
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 VENTRICLE_INNER, VENTRICLE_OUTER = (20.0, 45.0), (30.0, 55.0)
 """Radius and length of the cavity and of the outside, mm."""

@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.elasticity_voxels import COVERAGE_MIN, located, voxelised
 from benchmarks.statics import solve_linear, stiffness
 from heartcase.schemas.arrays import Bool, Float64, Intp
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 LENGTH, WIDTH = 12.0, 3
 _THIN = 0.75

@@ -19,7 +19,7 @@ from skfem.models.elasticity import linear_elasticity
 from benchmarks.elasticity_scenes import Field, Scene, scene
 from benchmarks.statics import Held, solve_linear, solve_newton
 from heartcase.schemas.arrays import Bool, Float64
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 Material = Callable[[Float64, float, float], tuple[Float64, Float64]]
 """From deformation gradients (n, 3, 3), mu and lambda: first Piola-Kirchhoff stress and its derivative."""

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from heartcase.schemas.arrays import Bool, Float64, Int32
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 COVERAGE_MIN = 0.02
 SAMPLES = 8

@@ -18,10 +18,10 @@ from skimage.morphology import skeletonize
 from benchmarks.phantom_inputs import phantom_inputs
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.ends.discs import Stumps
-from heartcase.pipeline.ends.find_ends import find_ends
-from heartcase.pipeline.ends.lumen_sections import angle_between
 from heartcase.pipeline.image.filter_scan import filter_scan
+from heartcase.pipeline.vessel_ends.discs import Stumps
+from heartcase.pipeline.vessel_ends.find_ends import find_ends
+from heartcase.pipeline.vessel_ends.lumen_sections import angle_between
 from heartcase.pipeline.walls.grow_walls import resolve_walls
 from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.schemas.arrays import Float64

@@ -18,8 +18,8 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
 from heartcase.simulator.dynamics.step_size import default_step
 from heartcase.simulator.engine.backends import Backend, Engine, make_engine
-from heartcase.simulator.lattice.force_law import RATIO_MIN, ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import RATIO_MIN, ForceLaw
 from heartcase.simulator.lattice.state import State
 
 Neighbours = tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]

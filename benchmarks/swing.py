@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import brentq, least_squares
 
 from heartcase.schemas.arrays import Float32, Float64
-from heartcase.simulator.lattice.force_law import ForceLaw, LawName
 from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.lattice.moduli import ForceLaw, LawName
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 

@@ -106,8 +106,8 @@ if TYPE_CHECKING:
     from heartcase.simulator.instruments.retractor import Retractor
     from heartcase.simulator.instruments.scissors import Scissors
     from heartcase.simulator.instruments.wrench import Wrench
-    from heartcase.simulator.lattice.force_law import ForceLaw
     from heartcase.simulator.lattice.model import GridUnits, LatticeModel, make_model
+    from heartcase.simulator.lattice.moduli import ForceLaw
     from heartcase.simulator.lattice.state import State
     from heartcase.simulator.load import Case, ScanVolume, load_case
     from heartcase.simulator.patching.flat_sheets import FlatSheet
@@ -411,7 +411,7 @@ _MODULES = {
     "heartcase.simulator.instruments.retractor": ("Retractor",),
     "heartcase.simulator.instruments.scissors": ("Scissors",),
     "heartcase.simulator.instruments.wrench": ("Wrench",),
-    "heartcase.simulator.lattice.force_law": ("ForceLaw",),
+    "heartcase.simulator.lattice.moduli": ("ForceLaw",),
     "heartcase.simulator.lattice.model": ("GridUnits", "LatticeModel", "make_model"),
     "heartcase.simulator.lattice.state": ("State",),
     "heartcase.simulator.load": ("Case", "ScanVolume", "load_case"),

@@ -29,10 +29,10 @@ from heartcase.simulator.instruments.scissors import Scissors
 from heartcase.simulator.instruments.wrench import Instrument, Wrench, wrench_on
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
-from heartcase.simulator.operated_tissue import OperatedTissue
-from heartcase.simulator.patched_tissue import PatchedTissue
 from heartcase.simulator.snapshot import Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
+from heartcase.simulator.tissue.operated_tissue import OperatedTissue
+from heartcase.simulator.tissue.patched_tissue import PatchedTissue
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]

@@ -30,8 +30,6 @@ from heartcase.pipeline.watershed.painting import paint_boxes
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.bundle.manifest import listed_files
 from heartcase.schemas.recipe.settings import Stroke
-from heartcase.simulator.arrangement.sheet_sides import directions_of
-from heartcase.simulator.arrangement.surface_crossings import is_inside
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
@@ -44,10 +42,12 @@ from heartcase.simulator.incisions.nearness import to_structure
 from heartcase.simulator.incisions.surgical_freedom import Shaft, reach
 from heartcase.simulator.incisions.triangle_tree import triangle_tree
 from heartcase.simulator.incisions.visibility import View, visibility
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.load import load_case
+from heartcase.simulator.mesh_arrangement.sheet_sides import directions_of
+from heartcase.simulator.mesh_arrangement.surface_crossings import is_inside
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.splitting.split_surface import CuttableSurface, split_surface
+from heartcase.simulator.surface_splitting.split_surface import CuttableSurface, split_surface
 from tests.compiling.all_modules import import_all
 
 pytestmark = pytest.mark.versions

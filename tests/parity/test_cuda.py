@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.backends import make_engine
-from heartcase.simulator.engine.cuda import kernel as kernel_cuda
+from heartcase.simulator.engine.cuda import step_kernels as kernel_cuda
 from heartcase.simulator.engine.cuda.engine import CudaEngine, _fitting, plan_launch
 from heartcase.simulator.engine.cuda.intrinsics import IS_SIMULATED
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.engine.shared.lanes import LANE_COUNT, lane_layout
 from heartcase.simulator.forces.reference import elastic_forces, spring_forces
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from tests.parity.test_engines import check_explicit_springs, check_probes, stretch_at_nodes, unguarded

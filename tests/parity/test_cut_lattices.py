@@ -18,8 +18,8 @@ from heartcase.simulator.engine.shared.cell_lanes import cell_layout
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.engine.shared.lanes import LANE_COUNT, lane_layout
 from heartcase.simulator.forces.reference import elastic_forces
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import EPS, block, cut_models, random_field, tied
 

@@ -16,7 +16,7 @@ from heartcase.simulator.engine.backends import make_engine
 from heartcase.simulator.engine.cpu.engine import PARALLEL_WINDOWS_MIN
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.forces.reference import spring_forces
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import EPS, block, random_field, random_models, random_probes, tied
 

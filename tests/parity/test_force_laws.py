@@ -13,7 +13,7 @@ from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.backends import make_engine
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.forces.reference import elastic_forces
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import EPS, block, random_field, random_models, random_moments, random_shares
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from heartcase.schemas.recording.commands import AddSprings, BringProbe, CloseGrab, LeadGrab, MoveProbe, OpenGrab
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.engine.cuda.intrinsics import IS_SIMULATED
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session

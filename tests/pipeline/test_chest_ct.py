@@ -10,13 +10,13 @@ import pytest
 from heartcase.pipeline.bundle.assembly import labels_of
 from heartcase.pipeline.checks.openings import Verdict, find_openings
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.ends.cut_ends import cut_ends
-from heartcase.pipeline.ends.discs import Stumps
-from heartcase.pipeline.ends.find_ends import find_ends
 from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.pipeline.image.filter_scan import filter_scan
 from heartcase.pipeline.image.region import crop_scan
 from heartcase.pipeline.markers.load_markers import load_markers, rasterise_strokes
+from heartcase.pipeline.vessel_ends.cut_ends import cut_ends
+from heartcase.pipeline.vessel_ends.discs import Stumps
+from heartcase.pipeline.vessel_ends.find_ends import find_ends
 from heartcase.pipeline.walls.grow_walls import grow_walls, resolve_walls
 from heartcase.pipeline.walls.septa import open_places
 from heartcase.pipeline.watershed.segment_scan import segment_scan, segmentation_warnings

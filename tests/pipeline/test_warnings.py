@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import heartcase
 from heartcase.pipeline.artifacts.serialise import History, artifact_from_bytes, artifact_to_bytes
 from heartcase.pipeline.data import Scan
-from heartcase.pipeline.ends.cut_ends import closed_vessels
+from heartcase.pipeline.vessel_ends.cut_ends import closed_vessels
 from heartcase.pipeline.warnings import (
     CaseWarning,
     WarningGrade,

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from heartcase.pipeline.data import Segmentation
-from heartcase.pipeline.ends.discs import Stumps
+from heartcase.pipeline.vessel_ends.discs import Stumps
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import Label, LabelTable, Role
 from tests.pipeline.lattices import points_of

@@ -11,8 +11,8 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.measures import elastic_energy_of, inverted_cells
 from heartcase.simulator.forces.reference import elastic_energy, spring_forces
 from heartcase.simulator.instruments.grab import nodes_in_reach
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import DIRECTIONS, make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.watchdog import Watch

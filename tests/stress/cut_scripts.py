@@ -12,13 +12,13 @@ from heartcase.simulator.cutting.descent import descent_of
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.forces.cell_forces import cell_energies
 from heartcase.simulator.forces.reference import elastic_energy
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 from tests.simulator.lattices import block
-from tests.simulator.splitting.surfaces import box, check_closed, check_ties, hung
+from tests.simulator.surface_splitting.surfaces import box, check_closed, check_ties, hung
 
 ROUNDING = 2e-6
 """Of an energy in 32 bits, added up over the cells."""

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
 from tests.stress.cut_scripts import operate, random_blade

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from tests.stress.violence import run
 
 LAWS = {

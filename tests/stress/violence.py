@@ -9,8 +9,8 @@ import numpy as np
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.measures import inverted_cells
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.lattices import block_cells, random_moments

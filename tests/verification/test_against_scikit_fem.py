@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 from tests.simulator.lattices import block_cells
 from tests.thoroughly import thoroughly
 

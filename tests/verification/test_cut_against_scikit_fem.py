@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.cut import deflection, lattice, truth
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 CELLS = 6
 """Across the bar: three of them, or fewer, are left."""

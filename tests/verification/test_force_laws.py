@@ -15,8 +15,8 @@ from heartcase.simulator.dynamics.measures import inverted_cells
 from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
 from heartcase.simulator.engine.backends import make_engine
 from heartcase.simulator.forces.reference import elastic_energy, elastic_forces
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.examples import few_and_many, hold_for
 from tests.simulator.lattices import block, random_models, random_moments, stiffness_matrix

@@ -8,7 +8,7 @@ import pytest
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.backends import make_engine
 from heartcase.simulator.forces.reference import elastic_energy, elastic_forces
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import block, random_field
 

@@ -158,8 +158,8 @@ class _Made:
 
 def _printed(export: _Export, model: str, suffix: str, min_thickness_mm: float) -> _Made:
     """A model for a printer, checked."""
+    from heartcase.pipeline.exports.ply_and_3mf import ply_bytes, three_mf_bytes
     from heartcase.pipeline.exports.print_check import check_for_printing
-    from heartcase.pipeline.exports.print_files import ply_bytes, three_mf_bytes
 
     what = _called(model)
     mesh = export.surface(model)

@@ -22,7 +22,7 @@ from heartcase.schemas.errors import Problem, ScriptError, SimulationError, Usag
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.scripts.incision_plans import PlannedIncision
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.lattice.force_law import LawName
+from heartcase.simulator.lattice.moduli import LawName
 from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.planned_incisions import (

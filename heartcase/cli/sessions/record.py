@@ -20,7 +20,7 @@ from heartcase.cli.shared.sessions import (
 )
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.lattice.force_law import LawName
+from heartcase.simulator.lattice.moduli import LawName
 from heartcase.simulator.load import Need, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import STATE_EVERY_S, Recorder

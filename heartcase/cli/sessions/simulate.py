@@ -36,8 +36,8 @@ from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.format import LEVEL_MAX
 from heartcase.schemas.errors import UsageError
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.lattice.force_law import LawName
 from heartcase.simulator.lattice.loose_nodes import tissue_displacement
+from heartcase.simulator.lattice.moduli import LawName
 from heartcase.simulator.load import Case, Need, load_case
 from heartcase.simulator.session.script import SessionSummary, load_script, run_script
 from heartcase.simulator.simulation import Simulation

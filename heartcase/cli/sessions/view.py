@@ -14,7 +14,7 @@ from heartcase.schemas.bundle.reader import open_bundle
 from heartcase.schemas.errors import RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, LawName
+from heartcase.simulator.lattice.moduli import RATIO_MAX, RATIO_MIN, LawName
 from heartcase.simulator.load import Need, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.replay import load_session

@@ -17,8 +17,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.scripts.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.incisions.stitches import MEASURED, beside_measured
-from heartcase.simulator.lattice.force_law import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
+from heartcase.simulator.incisions.stitch_limits import MEASURED, beside_measured
+from heartcase.simulator.lattice.moduli import RATIO_MAX, RATIO_MIN, ForceLaw, LawName
 from heartcase.simulator.load import Case
 from heartcase.simulator.patching.templates import TEMPLATE_FORMATS, write_template
 from heartcase.simulator.session.script import SessionSummary, default_script, with_positions

@@ -1,8 +1,8 @@
 """The kernels that a build will call, compiled ahead in several processes.
 
 ``kernels.json`` lists them with the types that they are called with, by the stage that calls them first. A test builds
-the sample case and fails where the list and what was called differ; ``python -m tests.pipeline.building.test_kernels_ahead
---write`` writes it anew.
+the sample case and fails where the list and what was called differ;
+``python -m tests.pipeline.building.test_kernels_ahead --write`` writes it anew.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ def lock_recipe(recipe: Recipe, *, directory: Path, out: Path) -> Recipe:
 def _found_ends(recipe: Recipe, directory: Path) -> tuple[EndMarker, ...]:
     """The vessel ends that a build of the recipe would find."""
     from heartcase.pipeline.building.recipe_ends import ends_at_locking
-    from heartcase.pipeline.ends.discs import end_marker
+    from heartcase.pipeline.vessel_ends.discs import end_marker
 
     with tempfile.TemporaryDirectory() as cache:
         return tuple(end_marker(end) for end in ends_at_locking(recipe, directory, Path(cache)))

@@ -10,10 +10,10 @@ from heartcase.pipeline.artifacts.cache import Cache
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener, run_stages
 from heartcase.pipeline.building.session_file import write_with_tables
 from heartcase.pipeline.data import Segmentation, VesselEnd
-from heartcase.pipeline.ends.cut_ends import cut_ends
-from heartcase.pipeline.ends.discs import Stumps, end_marker
-from heartcase.pipeline.ends.find_ends import find_ends
 from heartcase.pipeline.stages.stage import Work, have
+from heartcase.pipeline.vessel_ends.cut_ends import cut_ends
+from heartcase.pipeline.vessel_ends.discs import Stumps, end_marker
+from heartcase.pipeline.vessel_ends.find_ends import find_ends
 from heartcase.schemas.errors import Problem, RecipeError, StageError
 from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text

@@ -181,7 +181,7 @@ def told_of_ends(
     recipe: Recipe, segmentation: Segmentation, structures: Structures
 ) -> dict[str, tuple[CaseWarning, ...]]:
     """What is to be told of vessels that nothing cuts open."""
-    from heartcase.pipeline.ends.cut_ends import closed_vessels
+    from heartcase.pipeline.vessel_ends.cut_ends import closed_vessels
 
     return {"ends": closed_vessels(segmentation, (*recipe.ends, *structures.vessel_ends))}
 

@@ -17,12 +17,12 @@ import numpy as np
 from heartcase.pipeline.checks.leaks import leak_warnings
 from heartcase.pipeline.checks.smoothing_effects import smoothing_effects
 from heartcase.pipeline.data import Segmentation, Structures, ThicknessTable
-from heartcase.pipeline.ends.cut_ends import cut_ends
-from heartcase.pipeline.ends.discs import Stumps
 from heartcase.pipeline.fields.distance import default_smoothing_mm, label_distances
 from heartcase.pipeline.fields.lattice_kernels import count_owners
 from heartcase.pipeline.fields.reader import FieldReader, ownership_on_lattice
 from heartcase.pipeline.kernels.parallel import side_by_side
+from heartcase.pipeline.vessel_ends.cut_ends import cut_ends
+from heartcase.pipeline.vessel_ends.discs import Stumps
 from heartcase.pipeline.walls.septa import (
     OpenPlace,
     SeptumFigures,

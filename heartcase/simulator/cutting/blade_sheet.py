@@ -20,7 +20,7 @@ from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.base import Vector3
 from heartcase.schemas.bundle.lattice import lattice_keys
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.cutting.bits.touched import begun_among, places_of_links, samples_of_places
+from heartcase.simulator.cutting.bit_masks.touched import begun_among, places_of_links, samples_of_places
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES, crossing_keys
 from heartcase.simulator.cutting.sheet_kernels import refine, step_lengths, strips_beyond, triangles_of
 from heartcase.simulator.lattice.model import LatticeModel

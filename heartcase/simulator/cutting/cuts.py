@@ -8,7 +8,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cutting.bits.inheriting import held_nodes
+from heartcase.simulator.cutting.bit_masks.inheriting import held_nodes
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.descent import Descent, descent_of, nodes_now
 from heartcase.simulator.cutting.further_parting import part_further

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.arrays import Int32, Int64
-from heartcase.simulator.cutting.bits.inheriting import changed_nodes, heaviest_nodes, inherit_nodes
-from heartcase.simulator.cutting.bits.rows import copy_numbers
-from heartcase.simulator.cutting.bits.shares import (
+from heartcase.simulator.cutting.bit_masks.inheriting import changed_nodes, heaviest_nodes, inherit_nodes
+from heartcase.simulator.cutting.bit_masks.rows import copy_numbers
+from heartcase.simulator.cutting.bit_masks.shares import (
     merge_near_springs,
     near_rows,
     near_springs,

@@ -14,10 +14,10 @@ import numpy as np
 
 from heartcase.schemas.arrays import Bool, Int32, Int64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
-from heartcase.simulator.cutting.bits.labelling import Places, find_stems, label_places
-from heartcase.simulator.cutting.bits.rows import is_as_before, number_pieces, write_samples
-from heartcase.simulator.cutting.bits.sharing import Around, Stemmed, share_nodes, with_stems
-from heartcase.simulator.cutting.bits.touched import (
+from heartcase.simulator.cutting.bit_masks.labelling import Places, find_stems, label_places
+from heartcase.simulator.cutting.bit_masks.rows import is_as_before, number_pieces, write_samples
+from heartcase.simulator.cutting.bit_masks.sharing import Around, Stemmed, share_nodes, with_stems
+from heartcase.simulator.cutting.bit_masks.touched import (
     found_among,
     mark,
     merged,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.simulator.cutting.bits.shares import add_sample
+from heartcase.simulator.cutting.bit_masks.shares import add_sample
 
 __all__ = ["add_up_samples", "merge_springs", "nearest_of_each", "spring_places"]
 

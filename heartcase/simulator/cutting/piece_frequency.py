@@ -12,7 +12,7 @@ import numpy as np
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.lattice import FULL_MOMENTS
 from heartcase.simulator.forces.cell_stiffness import is_quicker
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 __all__ = ["QUICKER", "bounded_moments"]
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
-from heartcase.simulator.cutting.bits.touched import tissue_bits
+from heartcase.simulator.cutting.bit_masks.touched import tissue_bits
 from heartcase.simulator.cutting.blade_sheet import crossed_links
 from heartcase.simulator.cutting.crossings import QUANTA, SAMPLES
 
@@ -70,7 +70,7 @@ class TissueSamples:
         return is_tissue
 
     def bits_of(self, cells: Int32, moments: npt.ArrayLike) -> Int64:
-        """The same as bits, shape (count, SAMPLES): :mod:`heartcase.simulator.cutting.bits.sample_bits`."""
+        """The same as bits, shape (count, SAMPLES): :mod:`heartcase.simulator.cutting.bit_masks.sample_bits`."""
         bits = np.full((len(cells), SAMPLES), -1, np.int64)
         if self.entries is not None and len(cells):
             tissue_bits(self.entries, cells, bits)

@@ -9,7 +9,7 @@ that resist all movements so, omega^2 = 24 k/m, which no deformation of any latt
 
 With other force laws a lone cell has (12 lambda + 8 mu) h/m at rest, 20 k/m where lambda = mu = k/h. An element whose
 tissue fills one end of its cell has more. There the lattice's own highest frequency counts, if it is higher
-(:class:`heartcase.simulator.lattice.force_law.ForceLaw` on deformed cells).
+(:class:`heartcase.simulator.lattice.moduli.ForceLaw` on deformed cells).
 
 A lattice's own limit follows from its own highest frequency (:mod:`heartcase.simulator.dynamics.spectrum`): 12 k/m in
 the bulk.

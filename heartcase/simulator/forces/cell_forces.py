@@ -38,8 +38,8 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Bool, Float64, Intp
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 __all__ = [
     "EDGE_SQUARES",

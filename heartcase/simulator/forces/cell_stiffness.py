@@ -8,8 +8,8 @@ from numba import prange
 from heartcase.compiling.kernel import kernel, loop_kernel
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64
 from heartcase.simulator.forces.cell_forces import MODES, mean_slopes, tissue_spread
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 __all__ = ["CellStiffness", "is_quicker"]
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from math import isfinite
 
 from heartcase.schemas.errors import Problem, SimulationError
-from heartcase.simulator.incisions.stitches import StitchFigures
+from heartcase.simulator.incisions.stitch_limits import StitchFigures
 
 __all__ = ["CRITERIA", "Criterion", "IncisionFigures", "RankedPlan", "ranked", "table", "table_rows", "to_json"]
 

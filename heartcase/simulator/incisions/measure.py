@@ -14,7 +14,7 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.incisions.directions import divided
 from heartcase.simulator.incisions.figures import IncisionFigures
 from heartcase.simulator.incisions.nearness import Carrier, to_vessels
-from heartcase.simulator.incisions.stitches import beside_measured
+from heartcase.simulator.incisions.stitch_limits import beside_measured
 from heartcase.simulator.incisions.strain import Peak, Strain, cell_strain, peak
 from heartcase.simulator.incisions.surgical_freedom import Shaft, freedom_at_target_mm3, reach
 from heartcase.simulator.incisions.triangle_tree import TriangleTree, triangle_tree

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Bool, Float64, Int32, UInt8
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.forces.cell_forces import cell_gradients, stretching, volume_stress
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import CELL_SPRINGS, DIRECTIONS, LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 __all__ = ["Peak", "Strain", "cell_strain", "peak", "values_at_nodes", "values_at_vertices", "vertex_colours"]
 

@@ -1,1 +1,1 @@
-"""What a hand holds: grabs and probes."""
+"""What a hand holds: grabs, probes, forceps, retractors and scissors."""

@@ -29,7 +29,7 @@ from heartcase.schemas.bundle.lattice import (
 from heartcase.schemas.errors import BundleError, Problem, SimulationError
 from heartcase.schemas.geometry import Geometry
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.strain_sharing import corner_shares
 
 __all__ = ["CELL_SPRINGS", "DIRECTIONS", "GridUnits", "LatticeModel", "make_model"]

@@ -12,8 +12,8 @@ from heartcase.schemas.recording.commands import Cut
 from heartcase.schemas.recording.reader import Recording
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.engine.backends import Backend
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.session.operating_session import SNAPSHOT_EVERY_S, OperatingSession
 from heartcase.simulator.session.stored import RecordedStates, lattice_sha256
 from heartcase.simulator.simulation import Simulation

@@ -20,7 +20,7 @@ from heartcase.simulator.cutting.descent import cells_of_samples
 from heartcase.simulator.cutting.tissue_samples import SAMPLE_PLACES
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.tethers import whole_weights
-from heartcase.simulator.splitting.surface_binding import closest_weights
+from heartcase.simulator.surface_splitting.surface_binding import closest_weights
 
 __all__ = [
     "REACH_MM",

@@ -8,7 +8,7 @@ from math import isfinite
 from typing import Any
 
 from heartcase.schemas.landmarks import Landmark
-from heartcase.simulator.beside.figures_worker import FiguresWorker, LiveFigures
+from heartcase.simulator.background.figures_worker import FiguresWorker, LiveFigures
 from heartcase.simulator.incisions.figures import IncisionFigures
 from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.studio.messages import text_message

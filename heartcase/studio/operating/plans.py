@@ -15,8 +15,8 @@ from typing import Any
 from heartcase.schemas.bundle.manifest import manifest_bytes
 from heartcase.schemas.errors import HeartcaseError, Problem, SimulationError
 from heartcase.schemas.recording.reader import open_recording
-from heartcase.simulator.beside.figures_worker import LiveFigures
-from heartcase.simulator.beside.recorded_figures import figures_of_recording
+from heartcase.simulator.background.figures_worker import LiveFigures
+from heartcase.simulator.background.recorded_figures import figures_of_recording
 from heartcase.simulator.incisions.figures import ranked
 from heartcase.simulator.load import load_case
 from heartcase.studio.messages import text_message

@@ -15,7 +15,7 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.manifest import manifest_bytes
 from heartcase.schemas.errors import HeartcaseError, Problem, RecordingError, UsageError
 from heartcase.schemas.recording.reader import open_recording
-from heartcase.simulator.beside.device_hand import DeviceHand
+from heartcase.simulator.background.device_hand import DeviceHand
 from heartcase.simulator.case_simulation import simulation_of_case
 from heartcase.simulator.haptics.servo import HapticServo
 from heartcase.simulator.incisions.stated_defects import landmarks_with_defects

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
-from heartcase.simulator.beside.device_hand import ShownDevice
+from heartcase.simulator.background.device_hand import ShownDevice
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.live.hands import Hands
 from heartcase.simulator.live.live_frame import LiveFrame

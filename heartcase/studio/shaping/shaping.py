@@ -10,10 +10,10 @@ from heartcase.pipeline.building.quick_surface import QuickSurface, quick_surfac
 from heartcase.pipeline.building.recipe_history import RecipeHistory
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.edits.septum_place import septum_place
-from heartcase.pipeline.ends.discs import Stumps, end_marker
-from heartcase.pipeline.ends.end_place import end_place
-from heartcase.pipeline.ends.find_ends import find_ends
 from heartcase.pipeline.markers.session import SegmentationSession
+from heartcase.pipeline.vessel_ends.discs import Stumps, end_marker
+from heartcase.pipeline.vessel_ends.end_place import end_place
+from heartcase.pipeline.vessel_ends.find_ends import find_ends
 from heartcase.pipeline.walls.grow_walls import resolve_walls
 from heartcase.schemas.recipe.recipe import Recipe
 from heartcase.studio.shaping.acts import done_to, plain

@@ -1,4 +1,4 @@
-"""Which kernels the first build of a sample case calls, and with which types: run as a module, with FOLDER and OUTPUT as arguments.
+"""Which kernels the build of a sample case calls, and with which types: run as a module, with FOLDER and OUTPUT.
 
 A process of its own builds the adult phantom, with the stages one after the other, and writes for each kernel that
 Python called the stage that called it first. What was compiled for it, rather than found in numba's cache, has its
@@ -34,7 +34,7 @@ class _Compiled(event.Listener):
 
 
 def sample_recipe(folder: Path) -> Path:
-    """The adult phantom's, with its scan made in the folder; a coarser scan has no flat minimum to suggest strokes in."""
+    """The adult phantom's, with its scan made in the folder; a coarser one has no flat minimum to try strokes in."""
     path = folder / RECIPE.name
     path.write_text(RECIPE.read_text().replace("../out/adult_phantom/", ""))
     return path

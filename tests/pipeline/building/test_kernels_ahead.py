@@ -14,7 +14,7 @@ from tests.pipeline.building.kernels_called import sample_recipe
 
 
 def called(environment=os.environ, module="tests.pipeline.building.kernels_called"):
-    """Kernels that the build of a sample case calls, with the stage that calls each first, when all of them are in the cache.
+    """Kernels that a sample case calls, with the stage that calls each first, when all of them are in the cache.
 
     Or what another module's process calls.
     """

@@ -12,7 +12,7 @@ import pytest
 import pyvista
 import trimesh
 
-from heartcase.pipeline.exports.print_files import ply_bytes, three_mf_bytes
+from heartcase.pipeline.exports.ply_and_3mf import ply_bytes, three_mf_bytes
 from tests.pipeline.exports.shapes import TABLE, hollow_ball
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"

@@ -17,7 +17,7 @@ from heartcase.simulator.cutting.descent import cells_of_samples
 from heartcase.simulator.cutting.rest_space import blade_at_rest, places_at_rest, refined
 from heartcase.simulator.cutting.rest_space_kernels import Tissue, find_near, follow_back
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.cutting.plain_rest import plain_blade_at_rest, plain_refined
@@ -290,8 +290,8 @@ def test_a_suture_across_the_lips_is_taken_back_with_its_cut():
 
 
 def test_a_surface_that_is_not_closed_refuses_a_cut_and_nothing_changes():
-    from tests.simulator.splitting.surfaces import block as full
-    from tests.simulator.splitting.surfaces import box, hung
+    from tests.simulator.surface_splitting.surfaces import block as full
+    from tests.simulator.surface_splitting.surfaces import box, hung
 
     model = full((3, 3, 2))
     places, triangles = box((6, 6, 4), np.array((3.0, 3.0, 2.0)))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.bundle.lattice import lattice_keys
-from heartcase.simulator.cutting.bits.touched import begun_among, places_of_links
+from heartcase.simulator.cutting.bit_masks.touched import begun_among, places_of_links
 from heartcase.simulator.cutting.blade_sheet import (
     Sheet,
     checked_poses,
@@ -24,7 +24,7 @@ from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.cutting.descent import descent_of, nodes_now
 from heartcase.simulator.cutting.parted_lattice import PartedLattice, part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from tests.simulator.cutting.test_parted_lattice import blades, block
 from tests.simulator.cutting.test_plain_parting import BALL
 

@@ -19,10 +19,10 @@ from heartcase.simulator.cutting.pieces import find_pieces
 from heartcase.simulator.cutting.tissue_samples import TissueSamples, samples_of
 from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
 from heartcase.simulator.forces.reference import elastic_energy, elastic_forces
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import LatticeModel, make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
-from tests.simulator.splitting.surfaces import box
+from tests.simulator.surface_splitting.surfaces import box
 
 LAWS = [ForceLaw(), ForceLaw(poissons_ratio=0.45), ForceLaw("element"), ForceLaw("element", shares_strain=False)]
 FULL = TissueSamples.everywhere()

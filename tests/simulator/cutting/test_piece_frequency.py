@@ -10,8 +10,8 @@ import pytest
 from heartcase.simulator.cutting.piece_frequency import QUICKER, bounded_moments
 from heartcase.simulator.forces.cell_forces import own_forces_at_corners
 from heartcase.simulator.forces.cell_stiffness import is_quicker
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 
 LAWS = [ForceLaw("element"), ForceLaw("element", poissons_ratio=0.45, shares_strain=False)]
 

@@ -15,7 +15,7 @@ from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.descent import descent_of, nodes_now
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from tests.simulator.cutting.test_parted_lattice import blades, block
 
 # A ball of tissue as an octahedron: some of its samples lie on its faces.

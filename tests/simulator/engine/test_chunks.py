@@ -24,8 +24,8 @@ from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.cpu.steps import STEPS_BY_ORDER
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.engine.shared.lanes import CELL_LANES, LANE_COUNT
-from heartcase.simulator.lattice.force_law import LOOK_BELOW, ForceLaw
 from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.moduli import LOOK_BELOW, ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.simulator.lattices import block, block_cells, random_field, random_models, random_shares
 

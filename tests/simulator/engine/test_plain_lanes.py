@@ -17,9 +17,9 @@ from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.shared import rows
 from heartcase.simulator.engine.shared.cell_lanes import cell_layout, cell_numbers, inverse_shared, share_numbers
 from heartcase.simulator.engine.shared.lanes import lane_layout
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.loose_nodes import with_loose_nodes
 from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from tests.simulator.engine.plain_lanes import (
     plain_by_node_window,

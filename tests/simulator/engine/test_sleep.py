@@ -9,7 +9,7 @@ import pytest
 
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.backends import make_engine
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.lattices import block

@@ -11,7 +11,7 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.incisions.figures import CRITERIA, Criterion, IncisionFigures, ranked, table, to_json
 from heartcase.simulator.incisions.nearness import carried, to_structure, to_vessel, to_vessels
-from heartcase.simulator.incisions.stitches import MEASURED, beside_measured
+from heartcase.simulator.incisions.stitch_limits import MEASURED, beside_measured
 from tests.simulator.incisions.scenes import circle, plate
 
 

@@ -14,7 +14,7 @@ from heartcase.simulator.incisions.strain import (
     values_at_vertices,
     vertex_colours,
 )
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from tests.simulator.lattices import block
 
 LAWS = [ForceLaw("springs"), ForceLaw("springs", 0.4), ForceLaw("element"), ForceLaw("element", 0.4)]

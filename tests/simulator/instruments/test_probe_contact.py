@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from heartcase.simulator.engine.shared import contact
 from heartcase.simulator.engine.shared.turning import CORNER_NODES, SHARE, allowed_parts, make_turn_math
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.instruments.test_hands import zigzag
 from tests.simulator.lattices import block, oblique_geometry

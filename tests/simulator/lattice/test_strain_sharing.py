@@ -15,8 +15,8 @@ from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
 from heartcase.simulator.engine.backends import make_engine
 from heartcase.simulator.forces.cell_forces import mean_gradients
 from heartcase.simulator.forces.reference import elastic_forces
-from heartcase.simulator.lattice.force_law import ForceLaw
 from heartcase.simulator.lattice.model import make_model
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.lattice.strain_sharing import corner_shares
 from tests.simulator.lattices import block, random_models, random_moments, random_shares

@@ -20,7 +20,7 @@ from heartcase.schemas.recording.commands import (
     parse_command,
 )
 from heartcase.schemas.recording.reader import open_recording
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.patching.flat_sheets import FlatSheet
 from heartcase.simulator.patching.patches import patch_springs, with_patch
 from heartcase.simulator.session.operating_session import OperatingSession

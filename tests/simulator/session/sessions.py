@@ -25,7 +25,7 @@ from heartcase.schemas.recording.commands import (
     WithdrawProbe,
 )
 from heartcase.simulator.instruments.grab import Grab
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.lattices import block

@@ -18,10 +18,10 @@ from heartcase.simulator.session.perform import resolved
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.splitting.free_parts import cut_picking
+from heartcase.simulator.surface_splitting.free_parts import cut_picking
 from tests.simulator.cutting.test_cuts import across_bar, blade_mm
 from tests.simulator.session.test_recorded_cuts import as_tuples, bar, bytes_of, pull
-from tests.simulator.splitting.surfaces import box, hung
+from tests.simulator.surface_splitting.surfaces import box, hung
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ STORY = """
 import json, sys
 import numpy as np
 from heartcase.compiling.kernel import KERNELS
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
 

@@ -41,7 +41,7 @@ from heartcase.schemas.recording.reader import check_recording, is_recording, op
 from heartcase.simulator.engine.cpu import chunks
 from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.shared.contact import NO_PROBES
-from heartcase.simulator.lattice.force_law import ForceLaw
+from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session, refuse_deviation

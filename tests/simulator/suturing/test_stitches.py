@@ -166,7 +166,7 @@ def test_after_a_cut_each_place_follows_its_own_side(backend):
 
 def parts_of(model):
     """Number of what each node hangs together with by cells, shape (node_count,)."""
-    from heartcase.simulator.splitting.free_parts import parts_of_lattice
+    from heartcase.simulator.surface_splitting.free_parts import parts_of_lattice
 
     parts = np.full(model.node_count, -1)
     parts[model.cell_corners] = parts_of_lattice(model)[:, None]

@@ -18,8 +18,8 @@ from tests.studio.offline.browser import with_web_gpu
 TYPES = {"float32": "Float32Array", "int32": "Int32Array", "int16": "Int16Array"}
 START = """
   async ({ arrays, facts }) => {
-    const { Lattice } = await import("/springs/lattice.js");
-    const { SpringEngine } = await import("/springs/engine.js");
+    const { Lattice } = await import("/webgpu/lattice.js");
+    const { SpringEngine } = await import("/webgpu/engine.js");
     const unpacked = { facts };
     for (const [name, [type, values]] of Object.entries(arrays)) unpacked[name] = globalThis[type].from(values);
     window.lattice = new Lattice(unpacked);

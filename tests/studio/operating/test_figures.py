@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.bundle.write_bundle import write_bundle
-from heartcase.simulator.beside.figures_worker import LiveFigures, figures_of
+from heartcase.simulator.background.figures_worker import LiveFigures, figures_of
 from heartcase.simulator.incisions.figures import IncisionFigures
 from heartcase.studio.operating.incisions import Incisions, is_held_open
 from heartcase.studio.operating.live_figures import ShownFigures, told_figures

@@ -9,7 +9,7 @@ import pytest
 
 from heartcase.pipeline.bundle.write_bundle import write_bundle
 from heartcase.schemas.recording.reader import open_recording
-from heartcase.simulator.beside.recorded_figures import figures_of_recording
+from heartcase.simulator.background.recorded_figures import figures_of_recording
 from heartcase.simulator.incisions.figures import ranked
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.planned_incisions import on_case, parse_plans, run_plan

@@ -21,7 +21,7 @@ from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 from heartcase.simulator.engine.cpu.vector_ir import CellWindow, Lanes, Vector, Window, has_wide_registers
 from heartcase.simulator.engine.shared.lanes import CELL_NUMBERS, CELL_PARTS, LANE_COUNT, PART_LANES, SHARE_NUMBERS
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED, make_cell_math
-from heartcase.simulator.lattice.force_law import LOOK_BELOW
+from heartcase.simulator.lattice.moduli import LOOK_BELOW
 
 __all__ = [
     "CALM",

@@ -75,7 +75,7 @@ from heartcase.simulator.engine.cpu.tethers import keep_both_ends_awake, pull_by
 from heartcase.simulator.engine.cpu.turning import push_out, shorten, watch_cells
 from heartcase.simulator.engine.cpu.vector_ir import flush_subnormals, restore_subnormals
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_NUMBERS
-from heartcase.simulator.lattice.force_law import LOOK_STEPS
+from heartcase.simulator.lattice.moduli import LOOK_STEPS
 
 __all__ = [
     "CHUNKS_PER_ROOM",

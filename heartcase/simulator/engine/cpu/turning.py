@@ -27,7 +27,7 @@ from heartcase.simulator.engine.shared.lanes import (
     LaneLayout,
 )
 from heartcase.simulator.engine.shared.turning import CORNER_NODES, make_turn_math
-from heartcase.simulator.lattice.force_law import LOOK_BELOW
+from heartcase.simulator.lattice.moduli import LOOK_BELOW
 
 __all__ = ["TurnArrays", "push_out", "shorten", "turn_arrays", "watch_cells"]
 

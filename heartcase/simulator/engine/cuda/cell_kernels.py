@@ -16,7 +16,7 @@ from numba import cuda
 from heartcase.simulator.engine.cuda.flat_corners import any_corner_is_flat, corners_of
 from heartcase.simulator.engine.cuda.flat_corners import cell_functions as _math
 from heartcase.simulator.engine.cuda.intrinsics import load_four, store_four, wait_at_grid_barrier
-from heartcase.simulator.engine.cuda.kernel import (
+from heartcase.simulator.engine.cuda.step_kernels import (
     force_of_springs,
     next_velocity,
     pull_by_tethers,
@@ -27,7 +27,7 @@ from heartcase.simulator.engine.cuda.kernel import (
 )
 from heartcase.simulator.engine.cuda.turn_kernels import push_out, shorten, watch_cell
 from heartcase.simulator.forces.cell_math import NOTHING_SHARED
-from heartcase.simulator.lattice.force_law import LOOK_BELOW
+from heartcase.simulator.lattice.moduli import LOOK_BELOW
 
 __all__ = [
     "CELL_THREADS",
@@ -234,7 +234,7 @@ def advance_with_cells(
     look_steps,
     taken,
 ):
-    """Take steps in place; see :mod:`heartcase.simulator.engine.cuda.kernel` for what is not said here.
+    """Take steps in place; see :mod:`heartcase.simulator.engine.cuda.step_kernels` for what is not said here.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def advance_with_cells(
     step_count
         Steps to take; times seven times the number of blocks of threads at most 2**32 - 1.
     tethers, row_step
-        As of :func:`heartcase.simulator.engine.cuda.kernel.pull_by_tethers`, and steps taken before in this row.
+        As of :func:`heartcase.simulator.engine.cuda.step_kernels.pull_by_tethers`, and steps taken before in this row.
     rest
         Rest positions, i, j, k and one unused, float32, shape (4 * node_count,); read where there are probes.
     probes

@@ -9,8 +9,8 @@ import numpy as np
 from heartcase.schemas.arrays import Float64, UInt32
 from heartcase.simulator.engine.shared.cell_lanes import cell_numbers, inverse_shared, share_numbers
 from heartcase.simulator.engine.shared.lanes import SHARE_NUMBERS, LaneLayout
-from heartcase.simulator.lattice.force_law import LOOK_STEPS
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import LOOK_STEPS
 
 __all__ = ["CellsOnDevice", "plain_launch"]
 

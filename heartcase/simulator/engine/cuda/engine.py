@@ -95,10 +95,9 @@ class CudaEngine:
 
     def __init__(self, model: LatticeModel, *, resident: bool | None = None) -> None:
         self._cuda = _cuda()
-        from heartcase.simulator.engine.cuda import kernel as kernel_cuda
-        from heartcase.simulator.engine.cuda import node_kernels
+        from heartcase.simulator.engine.cuda import node_copy_kernels, step_kernels
 
-        self._kernels, self._node_kernels = kernel_cuda, node_kernels
+        self._kernels, self._node_kernels = step_kernels, node_copy_kernels
         self.model = model
         layout = lane_layout(model)
         self._layout = layout

@@ -11,7 +11,7 @@ from numba import cuda
 
 from heartcase.simulator.engine.cuda.intrinsics import load_four, wait_at_grid_barrier
 from heartcase.simulator.forces.cell_math import make_cell_math
-from heartcase.simulator.lattice.force_law import LOOK_BELOW
+from heartcase.simulator.lattice.moduli import LOOK_BELOW
 
 __all__ = ["any_corner_is_flat", "cell_functions", "corners_of"]
 

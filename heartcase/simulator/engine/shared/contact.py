@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.simulator.engine.shared.turning import allowed_parts, least_volumes
-from heartcase.simulator.lattice.force_law import LOOK_BELOW
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.moduli import LOOK_BELOW
 
 __all__ = ["FAR", "NEAR", "NO_PROBES", "PROBE_SIZE", "PUSHED", "keep_outside", "make_contact", "moved_on", "probe_row"]
 

@@ -4,8 +4,8 @@ import { add, dot } from "../operating/camera.js";
 
 /** @typedef {import("../operating/camera.js").Vector} Vector */
 /** @typedef {import("../operating/camera.js").Look} Look */
-/** @typedef {import("../springs/engine.js").SpringEngine} SpringEngine */
-/** @typedef {import("../springs/lattice.js").Lattice} Lattice */
+/** @typedef {import("../webgpu/engine.js").SpringEngine} SpringEngine */
+/** @typedef {import("../webgpu/lattice.js").Lattice} Lattice */
 /** @typedef {import("../shared/connection.js").Message} Message */
 /** @typedef {{origin_mm: Vector, direction: number[][], cell_mm: number}} Place */
 /** @typedef {{name: string, kind: string, center_mm: Vector, force_n: Vector, axes_mm: number[][] | null}} Shown */
