@@ -12,7 +12,6 @@ from heartcase.schemas.arguments import whole_number
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.commands import STEPS_MAX
-from heartcase.simulator.checked import checked_gravity
 from heartcase.simulator.cutting.cuts import Step
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
@@ -31,6 +30,7 @@ from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.snapshot import Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
+from heartcase.simulator.tissue.checked import checked_gravity
 from heartcase.simulator.tissue.operated_tissue import OperatedTissue
 from heartcase.simulator.tissue.patched_tissue import PatchedTissue
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch

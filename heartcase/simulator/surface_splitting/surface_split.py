@@ -2,8 +2,8 @@
 
 Surface and sheets divide one another into faces (:mod:`heartcase.simulator.mesh_arrangement.arrange`). A face of a
 sheet inside the tissue becomes two walls, one for the tissue on each side, and what bounds the same tissue is glued
-edge by edge. So the split surface is closed and manifold whatever the sheets are, both lips are one curve, and where a sheet
-ends inside the tissue its two walls meet. Arrangements of meshes are split likewise by Zhou, Grinspun, Zorin and
+edge by edge. So the split surface is closed and manifold whatever the sheets are, both lips are one curve, and where a
+sheet ends inside the tissue its two walls meet. Arrangements of meshes are split likewise by Zhou, Grinspun, Zorin and
 Jacobson (ACM Trans. Graph. 35, 2016); here only the order around nodes and edges is used, not the faces' geometry.
 """
 

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.checked import check_fit
 from heartcase.simulator.cutting.blade_sheet import Poses, blade_points, checked_poses
 from heartcase.simulator.cutting.cuts import Cuts, Step
 from heartcase.simulator.cutting.rest_space import blade_at_rest, refined
@@ -26,6 +25,7 @@ from heartcase.simulator.surface.shown_surfaces import ShownSurfaces
 from heartcase.simulator.surface.tissue_inside import tissue_inside
 from heartcase.simulator.surface_splitting.free_parts import cut_picking
 from heartcase.simulator.surface_splitting.split_surface import CuttableSurface, SplitSurface, split_surface
+from heartcase.simulator.tissue.checked import check_fit
 from heartcase.simulator.tissue.coming_cuts import CutsAhead, CutTissue, cut_tissue
 
 __all__ = ["MovingTissue"]
