@@ -19,7 +19,7 @@ from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.write_surface import write_surface
 from tests.simulator.lattices import block
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "lopsided.case"
+GOLDEN = Path(__file__).parents[2] / "golden" / "lopsided.case"
 
 
 @pytest.mark.parametrize(
