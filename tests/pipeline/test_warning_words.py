@@ -15,7 +15,7 @@ PIPELINE = Path(heartcase.pipeline.__file__).parent
 NUMBERS = {"count": "3", "area": "1,046", "percent": "1.3"}
 OF_FILES = ("formats/", "markers/", "building/", "edits/")
 """What is said of files, strokes, locks and edits is told before there is a model, in words of their own."""
-ELSEWHERE = {"bundle/assembly.py", "ends/cut_ends.py", "warnings.py"}
+ELSEWHERE = {"bundle/assembly.py", "vessel_ends/cut_ends.py", "warnings.py"}
 """Sentences that only a command line meets, or that are put together from what a search found."""
 
 

@@ -1,4 +1,4 @@
-"""A case's lattice of springs as arrays for the page's own engine (``page/springs``)."""
+"""A case's lattice of springs as arrays for the page's own engine (``page/webgpu``)."""
 
 from __future__ import annotations
 

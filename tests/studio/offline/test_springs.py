@@ -85,7 +85,7 @@ def displacements(page):
 
 
 def test_the_rows_of_the_page_are_those_of_the_lattice():
-    text = (PAGE / "springs" / "lattice.js").read_text()
+    text = (PAGE / "webgpu" / "lattice.js").read_text()
     rows = text.split("DIRECTIONS = /** @type {const} */ (", 1)[1].split(");", 1)[0].replace(",\n]", "\n]")
     assert json.loads(rows) == DIRECTIONS.tolist()
 

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.commands import Cut, Undo
 from heartcase.schemas.recording.reader import open_recording
-from heartcase.simulator import coming_cuts
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.perform import resolved
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface_splitting.free_parts import cut_picking
+from heartcase.simulator.tissue import coming_cuts
 from tests.simulator.cutting.test_cuts import across_bar, blade_mm
 from tests.simulator.session.test_recorded_cuts import as_tuples, bar, bytes_of, pull
 from tests.simulator.surface_splitting.surfaces import box, hung
