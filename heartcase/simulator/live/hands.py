@@ -148,10 +148,10 @@ class Hands:
         self.forget()
         self.live.do(Rewind(seconds=REWIND_S))
 
-    def play(self) -> None:
-        """Do again what is known from here on."""
+    def play(self, speed: float = 1.0) -> None:
+        """Do again what is known from here on, at a speed as in :meth:`heartcase.simulator.live.live.Live.play`."""
         self.forget()
-        self.live.play()
+        self.live.play(speed)
 
     def new_name(self, kind: str) -> str:
         """A name that no instrument, stitch, row or patch has yet."""

@@ -59,8 +59,8 @@ class Live:
     """Runs a session in a thread of its own.
 
     ``newest`` is the frame to show, and ``take_messages`` gives what a user should read. All methods may be called from
-    any thread; ``close`` ends the thread, and finishes a recording. ``has_ended`` says that the thread is done with the
-    session.
+    any thread; ``close`` ends the thread, and finishes a recording. ``played_speed`` is that of playing, ``has_ended``
+    says that the thread is done with the session.
 
     Parameters
     ----------
@@ -105,6 +105,7 @@ class Live:
         self._thread: threading.Thread | None = None
         self._recorder: Recorder | None = None
         self._played: Iterator[Frame] | None = None
+        self.played_speed = 1.0
         self._mode = "running"
         self._steps_most = frame_s / session.simulation.step_s
         self._ticked: float | None = None
@@ -170,9 +171,15 @@ class Live:
         """Let time stand, or go on from here: then what was known ahead is dropped by the next steps."""
         self._ask([lambda: self._set_mode("paused" if is_paused else "running")])
 
-    def play(self) -> None:
-        """Do again what is known from here on, and then pause; an act takes over."""
-        self._ask([self._begin_to_play])
+    def play(self, speed: float = 1.0) -> None:
+        """Do again what is known from here on, and then pause; an act takes over.
+
+        Parameters
+        ----------
+        speed
+            Simulated time for each time that goes by, above 0; where the machine is slower than that, as fast as it is.
+        """
+        self._ask([lambda: self._begin_to_play(speed)])
 
     def record(self, path: Path) -> None:
         """Record into a folder, from the session's start on, until :meth:`stop_recording` or :meth:`close`."""
@@ -343,13 +350,14 @@ class Live:
             self._ticked = None
         self._mode, self._played = mode, None
 
-    def _begin_to_play(self) -> None:
+    def _begin_to_play(self, speed: float) -> None:
         self._goals.drop()
         self._set_mode("playing")
+        self.played_speed = speed
         self._played = self.session.play(surface=self._shows_surface)
 
     def _play_on(self) -> None:
-        """Do again the next row of steps, in its own time."""
+        """Do again the next row of steps, in its own time over the speed."""
         assert self._played is not None
         began, before = time.perf_counter(), self.session.step_count
         try:
@@ -362,7 +370,7 @@ class Live:
             frame = self.session.frame(surface=self._shows_surface)
         else:
             seconds = (self.session.step_count - before) * self.session.simulation.step_s
-            spare = seconds - (time.perf_counter() - began) - self._frame_s
+            spare = seconds / self.played_speed - (time.perf_counter() - began) - self._frame_s
             if spare > 0.0:
                 time.sleep(min(spare, 1.0))
             self._measure()

@@ -13,6 +13,7 @@ from heartcase.studio.operating.requests import (
     CutOpen,
     Hide,
     HoldOpen,
+    Keep,
     LetGo,
     Look,
     Planned,
@@ -40,6 +41,7 @@ OwnAct = (
     | Along
     | Run
     | Play
+    | Keep
     | Recordings
     | Hide
     | CutOpen
@@ -96,15 +98,15 @@ async def act(
             along.get(request.do, hands.put_down)()
         case Run():
             live.pause(request.paused)
-        case Play(do="play"):
-            hands.play()
-        case Play(do="spare"):
+        case Play():
+            hands.play(request.speed)
+        case Keep(do="spare"):
             stage.spare_a_processor()
-        case Play(do="record"):
+        case Keep(do="record"):
             if live.newest.recording is not None:
                 raise RecordingError("it is recorded already", place="record")
             await run(stage.record)
-        case Play():
+        case Keep():
             live.stop_recording()
         case Recordings():
             return {"recordings": await run(stage.recordings)}

@@ -22,6 +22,7 @@ __all__ = [
     "Figures",
     "Hide",
     "HoldOpen",
+    "Keep",
     "LeavePage",
     "LetGo",
     "Look",
@@ -53,6 +54,8 @@ _PERPENDICULAR_MAX = 1e-3
 
 
 _RecordingName = Annotated[str, Field(min_length=1, max_length=200)]
+_Speed = Annotated[float, Field(ge=0.1, le=10.0)]
+"""Simulated time for each time that goes by, where what came before is played."""
 
 
 class _Asked(Model):
@@ -157,9 +160,18 @@ class Run(_Asked):
 
 
 class Play(_Asked):
-    """Do again what is known from here on; begin to record, end the recording; leave a processor to what draws."""
+    """Do again what is known from here on."""
 
-    do: Literal["play", "record", "stop_recording", "spare"]
+    do: Literal["play"]
+    """Which request."""
+    speed: _Speed = 1.0
+    """How fast."""
+
+
+class Keep(_Asked):
+    """Begin to record, end the recording; leave a processor to what draws."""
+
+    do: Literal["record", "stop_recording", "spare"]
     """Which request."""
 
 
@@ -177,6 +189,8 @@ class Replay(_Asked):
     """Which request."""
     name: Annotated[str, Field(min_length=1, max_length=200)]
     """One of the names that were given for it."""
+    speed: _Speed = 1.0
+    """How fast."""
 
 
 class Begin(_Asked):
@@ -380,6 +394,7 @@ Request = (
     | Along
     | Run
     | Play
+    | Keep
     | Recordings
     | Replay
     | Begin

@@ -288,12 +288,15 @@ class Theatre:
                 self._tours.lead(page, stage, request.tour, request.step)
             case Replay() | Begin():
                 self._tours.stop()
-                name = request.name if isinstance(request, Replay) else None
+                replayed = request if isinstance(request, Replay) else None
                 newest, is_another = await self._newest_stage()
-                if name is None and is_another:
+                if replayed is None and is_another:
                     return {}
                 live = newest.live
-                await self._run(lambda: newest.begin() if name is None else newest.replay(name))
+                if replayed is None:
+                    await self._run(newest.begin)
+                else:
+                    await self._run(lambda: newest.replay(replayed.name, replayed.speed))
                 self._show_begun(live)
             case Strain():
                 viewer.wants_strain = request.shown

@@ -173,7 +173,9 @@ class Guide:
 
     async def _asked(self, live: Live, command: Done | GoTo | None) -> None:
         try:
-            await asyncio.wait_for(asyncio.wrap_future(live.asked(command)), _PATIENCE_S)
+            # not wait_for: in Python 3.11 it goes on where it is cancelled at the moment of the answer
+            async with asyncio.timeout(_PATIENCE_S):
+                await asyncio.wrap_future(live.asked(command))
         except TimeoutError:
             raise SimulationError("the session does not answer: begin anew", place="tour") from None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -21,6 +22,7 @@ from heartcase.schemas.recording.commands import (
     Undo,
 )
 from heartcase.schemas.recording.reader import open_recording
+from heartcase.simulator.live import live as live_module
 from heartcase.simulator.live.live import Live
 from heartcase.simulator.session.replay import load_session
 from tests.simulator.live.scenes import bytes_of, live_on, load, threads, until
@@ -108,6 +110,33 @@ def test_going_back_pauses_playing_comes_to_the_same_bytes_and_an_act_takes_over
     live.tick()
     assert live.newest.mode == "running"
     assert live.newest.ahead_s == 0.0
+    live.close()
+
+
+@pytest.mark.parametrize("speed", [0.25, 0.5, 4.0])
+def test_what_is_played_more_slowly_takes_its_time_and_comes_to_the_same_bytes(case, monkeypatch, speed):
+    slept = []
+    live = live_on(case)
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0), LeadGrab(name="hand", offset_mm=(0.0, 0.0, 3.0)))
+    for _ in range(10):
+        live.tick()
+    end, step = bytes_of(live.session.simulation), live.newest.frame.step
+    live.do(Rewind(seconds=100.0))
+    live.tick()
+    assert live.newest.frame.step == 0
+    # a machine that takes no time at all
+    monkeypatch.setattr(live_module, "time", SimpleNamespace(perf_counter=lambda: 0.0, sleep=slept.append))
+    live.play(speed)
+    shown = [0]
+    while live.newest.mode != "paused" or live.newest.ahead_s > 0.0:
+        live.tick()
+        shown.append(live.newest.frame.step)
+    assert bytes_of(live.session.simulation) == end
+    assert shown[-1] == step
+    rows_s = np.diff(np.unique(shown)) * live.session.simulation.step_s
+    wanted = rows_s / speed - live_module.FRAME_S
+    assert slept == pytest.approx(wanted[wanted > 0.0])
+    assert bool(slept) == (speed < 1.0)
     live.close()
 
 

@@ -112,7 +112,8 @@ def anything(random):
         case "run":
             return {"do": "pause", "paused": bool(random.random() < 0.3)}
         case "play":
-            return {"do": str(random.choice(["play", "record", "stop_recording", "recordings"]))}
+            do = str(random.choice(["play", "record", "stop_recording", "recordings"]))
+            return {"do": do} | ({"speed": float(random.choice([-1.0, 0.25, 4.0]))} if do == "play" else {})
         case "go_to":
             return {"do": "command", "command": {"kind": "go_to", "step": int(random.integers(0, 3000))}}
         case "cut_open":

@@ -83,8 +83,9 @@ def test_a_story_that_pulls_cuts_undoes_records_and_replays(operated, operated_c
         name = page.done("recordings")["recordings"][0]
         assert name == recorded
         # the same again from the recording, and taken over
-        page.done("replay", name=name)
+        page.done("replay", name=name, speed=0.5)
         page.until(lambda frame: frame["mode"] == "playing" and frame["step"] < end["step"])
+        page.done("play", speed=4.0)
         page.until(lambda frame: frame["mode"] == "paused" and frame["step"] == end["step"])
         assert agrees(page, opened)
         assert live_of(opened).session.deviations == []
@@ -119,6 +120,7 @@ def test_what_is_asked_wrongly_is_refused_and_changes_nothing(operated):
             ("command", {"command": {"kind": "cut", "poses_mm": []}}, "poses_mm"),
             ("fly", {}, "do"),
             ("resize", {"steps": 1e9}, "steps"),
+            ("play", {"speed": 0.0}, "speed"),
         ):
             answer = page.ask(do, **request)
             assert answer["kind"] == "refused", do

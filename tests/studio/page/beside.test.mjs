@@ -98,8 +98,8 @@ test("while one pane waits for the other, pause pauses both, and both go on with
   await frame({ mode: "paused", time_s: 2.5, end_s: 8 });
   assert.equal(asked.length, count);
   assert.equal(beside.mode, "paused");
-  assert.deepEqual(pressPause(), { do: "play" });
-  assert.deepEqual(wanted().at(-1), { do: "play" });
+  assert.deepEqual(pressPause(), { do: "play", speed: 1 });
+  assert.deepEqual(wanted().at(-1), { do: "play", speed: 1 });
 });
 
 test("one pane alone goes on from where it stands, as do two that know nothing ahead", async () => {
@@ -114,7 +114,7 @@ test("one pane alone goes on from where it stands, as do two that know nothing a
 
 test("after the line was lost the recording is played again where another session is shown, and only there", async () => {
   await mainWaits();
-  assert.deepEqual(wanted(), [{ do: "replay", name: "b.recording" }]);
+  assert.deepEqual(wanted(), [{ do: "replay", name: "b.recording", speed: 1 }]);
   socket.dispatchEvent(new Event("close"));
   await later(400);
   await opened();
@@ -125,7 +125,7 @@ test("after the line was lost the recording is played again where another sessio
   await said({ kind: "message", text: "it was closed" });
   await opened();
   await frame({ mode: "running", time_s: 0.1, end_s: 0.1 });
-  assert.deepEqual(wanted(), [{ do: "replay", name: "b.recording" }]);
+  assert.deepEqual(wanted(), [{ do: "replay", name: "b.recording", speed: 1 }]);
   assert.deepEqual(told, ["b: it was closed"]);
 });
 
@@ -135,5 +135,5 @@ test("a recording that is chosen while there is no line is played when there is 
   beside.open("c.recording", "a.recording");
   await later(400);
   await opened();
-  assert.deepEqual(wanted(), [{ do: "replay", name: "c.recording" }]);
+  assert.deepEqual(wanted(), [{ do: "replay", name: "c.recording", speed: 1 }]);
 });

@@ -150,8 +150,13 @@ def test_a_story_by_mouse(chromium, operated):
         until(lambda: page.text("#record") == "Record")
         # replayed, looked at anywhere, and taken over
         tab.locator("#tab-recordings").click()
+        tab.locator("#speed").select_option("0.25")
         tab.locator("#recordings button").first.click()
-        hands.until(lambda header: header["mode"] == "playing" or header["step"] < end)
+        hands.until(lambda header: header["mode"] == "playing" and header["step"] < end)
+        assert operated.live.played_speed == 0.25
+        # quicker at once
+        tab.locator("#speed").select_option("4")
+        until(lambda: operated.live.played_speed == 4.0)
         hands.until(lambda header: header["mode"] == "paused" and header["step"] == end)
         assert hands.shows(operated.live) < TOLERANCE_MM
         assert operated.live.session.deviations == []

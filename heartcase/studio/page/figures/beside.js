@@ -34,6 +34,8 @@ export class Beside {
   #waits = "";
   /** Both were told to stand: nobody waits, nobody goes on by itself. */
   #stands = false;
+  /** How many times as quick as it was both are played. */
+  speed = 1;
 
   /**
    * @param {Picture} main
@@ -119,7 +121,7 @@ export class Beside {
   pauseOrGoOn() {
     if (this.mode !== "paused") return { do: "pause", paused: true };
     const isKnownAhead = [this.header, this.does.mainHeader()].some((one) => one !== null && one.end_s > one.time_s);
-    return this.isOpen && isKnownAhead ? { do: "play" } : { do: "pause", paused: false };
+    return this.isOpen && isKnownAhead ? { do: "play", speed: this.speed } : { do: "pause", paused: false };
   }
 
   /** One of the panes shows a moment: whoever is ahead while both play waits. */
@@ -148,7 +150,7 @@ export class Beside {
   /** @param {"" | "main" | "beside"} which */
   #go(which) {
     this.#waits = "";
-    this.#tell(which, { do: "play" });
+    this.#tell(which, { do: "play", speed: this.speed });
   }
 
   /** @param {"" | "main" | "beside"} which @param {Record<string, unknown> & {do: string}} request */
@@ -168,7 +170,7 @@ export class Beside {
   /** Where there is no line it is due when there is one. */
   #replay() {
     const name = this.#name;
-    this.#ask({ do: "replay", name }, () => {
+    this.#ask({ do: "replay", name, speed: this.speed }, () => {
       if (name === this.#name) this.#isDue = false;
     });
   }

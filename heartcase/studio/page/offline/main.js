@@ -6,6 +6,7 @@ import { Panel, shownName } from "../operating/panel.js";
 import { NoGraphics, Picture } from "../operating/picture.js";
 import { PlaneControls } from "../operating/plane_controls.js";
 import { Pointer } from "../operating/pointer.js";
+import { fillSpeeds } from "../operating/time_line.js";
 import { showCursor, ToolBar } from "../operating/tool_bar.js";
 import { runTabs } from "../panel/tiles.js";
 import { runLanguage, runTheme, runWords } from "../shared/looks.js";
@@ -22,7 +23,7 @@ import { Looking, SIDES } from "./looking.js";
 import { Marks } from "./marks.js";
 import { runNaming } from "./naming.js";
 import { Picking } from "./picking.js";
-import { firstAct, momentsOf, Playing, SPEEDS } from "./playing.js";
+import { firstAct, momentsOf, Playing } from "./playing.js";
 import { TimeMarks } from "./time_marks.js";
 import { Vessels } from "./vessels.js";
 
@@ -331,11 +332,7 @@ async function run() {
   runView();
   /** @type {HTMLInputElement} */ (find("time")).addEventListener("input", (event) => playing.goTo(Number(/** @type {HTMLInputElement} */ (event.target).value)));
   const speed = /** @type {HTMLSelectElement} */ (find("speed"));
-  const fillSpeeds = () => {
-    const chosen = Number(speed.value || 1);
-    speed.replaceChildren(...SPEEDS.map((one) => new Option(`${one.toLocaleString(language.value)} ×`, String(one), one === 1, one === chosen)));
-  };
-  fillSpeeds();
+  fillSpeeds(speed);
   speed.addEventListener("change", tellSpeed);
   document.addEventListener("keydown", (event) => {
     const target = /** @type {Element} */ (event.target);
@@ -424,7 +421,7 @@ async function run() {
   language.follow(() => colouring.build());
   language.listen(() => {
     fillTools();
-    fillSpeeds();
+    fillSpeeds(speed);
     tellEngine();
     tellSeen();
   });

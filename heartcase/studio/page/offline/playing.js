@@ -4,8 +4,6 @@
 /** What is told of each part of a moment, of the moment that is shown then, and whether it plays. @typedef {{part: (part: Package, isShown: boolean) => void, shown: (at: number, header: Record<string, any>) => void, told: (isRunning: boolean) => void}} Shows */
 /** @typedef {{now: () => number, picture: () => Promise<unknown>}} Clock */
 
-/** How many times as quick as it was. */
-export const SPEEDS = [0.25, 0.5, 1, 2, 4];
 /** Playing begins so long before the first act, s. */
 const BEFORE_S = 0.5;
 

@@ -23,7 +23,7 @@ import { Pointer } from "./pointer.js";
 import { ScanControls } from "./scan_controls.js";
 import { SecondView } from "./second_view.js";
 import { Surroundings } from "./surroundings.js";
-import { TimeLine } from "./time_line.js";
+import { fillSpeeds, TimeLine } from "./time_line.js";
 import { showCursor, ToolBar } from "./tool_bar.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
@@ -158,7 +158,7 @@ function run() {
     forget();
     notice("", [{ place: "", message: say("recording_opening", { name }) }]);
     isOpening = true;
-    ask({ do: "replay", name });
+    ask({ do: "replay", name, speed: beside.speed });
   }
 
   function tellStretch() {
@@ -229,7 +229,7 @@ function run() {
     undo: () => (forget(), ask({ do: "undo" })),
     redo: () => (forget(), ask({ do: "redo" })),
     back: () => (forget(), ask({ do: "back" })),
-    play: () => (forget(), ask({ do: "play" })),
+    play: () => (forget(), ask({ do: "play", speed: beside.speed })),
     tie: () => ask({ do: "tie" }),
     putDown: () => (forget(), ask({ do: "put_down" })),
     /** @param {boolean} isPointed */
@@ -279,6 +279,12 @@ function run() {
   for (const id of ["undo", "redo", "let-go", "let-go-all", "hold-last", "tie", "back", "pause", "play"]) {
     find(id).addEventListener("click", (event) => event.detail > 0 && find("scene").focus({ preventScroll: true }));
   }
+  const speed = /** @type {HTMLSelectElement} */ (find("speed"));
+  fillSpeeds(speed);
+  speed.addEventListener("change", () => {
+    beside.speed = Number(speed.value);
+    if (beside.mode === "playing") void actions.play();
+  });
   const strain = /** @type {HTMLInputElement} */ (find("strain"));
   strain.addEventListener("change", () => {
     picture.heart.uniforms.showsStretch.value = strain.checked;
@@ -522,6 +528,7 @@ function run() {
     tellState();
     tellStretch();
     fillTools();
+    fillSpeeds(speed);
     timeLine.tell(timeLine.mode);
   });
   runTheme();

@@ -16,6 +16,15 @@ export function timeMark(kind, timeS, go) {
   return mark;
 }
 
+/** How many times as quick as it was. */
+const SPEEDS = [0.25, 0.5, 1, 2, 4];
+
+/** The speeds that can be chosen, in the page's language; what was chosen stays. @param {HTMLSelectElement} select */
+export function fillSpeeds(select) {
+  const chosen = Number(select.value || 1);
+  select.replaceChildren(...SPEEDS.map((one) => new Option(`${one.toLocaleString(language.value)} ×`, String(one), one === 1, one === chosen)));
+}
+
 export class TimeLine {
   #slider = /** @type {HTMLInputElement} */ (find("time"));
   #wanted = /** @type {number | null} */ (null);

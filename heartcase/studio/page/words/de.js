@@ -253,6 +253,7 @@ export const words = {
   operate_pause: "Anhalten (Leertaste)",
   operate_go_on: "Von hier an weiter operieren (Leertaste)",
   operate_play: "Wiedergeben, was danach kam (L)",
+  operate_speed: "Tempo",
   operate_stop_recording: "Aufnahme beenden",
   operate_record: "Aufnehmen",
   operate_mode_running: "Läuft",

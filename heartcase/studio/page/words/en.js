@@ -252,6 +252,7 @@ export const words = {
   operate_pause: "Pause (Space)",
   operate_go_on: "Go on operating from here (Space)",
   operate_play: "Replay what came then (L)",
+  operate_speed: "Speed",
   operate_stop_recording: "Stop recording",
   operate_record: "Record",
   operate_mode_running: "Running",

@@ -50,7 +50,6 @@ export const words = {
   offline_this_is: "Das ist: {name}",
   offline_nothing_there: "Hier ist nichts.",
   offline_play: "Abspielen oder anhalten",
-  offline_speed: "Tempo",
   offline_time: "{at} von {end} s",
   offline_help_touch: "Finger und Stift: Ein Finger oder der Stift dreht, und zieht oder tastet, wenn dieses Werkzeug gewählt ist; zwei Finger zoomen und verschieben. Ein Tippen nennt die Struktur.",
   offline_help_tools: "Greifen, Sonde",

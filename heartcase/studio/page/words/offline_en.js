@@ -49,7 +49,6 @@ export const words = {
   offline_this_is: "This is: {name}",
   offline_nothing_there: "There is nothing here.",
   offline_play: "Play or pause",
-  offline_speed: "Speed",
   offline_time: "{at} of {end} s",
   offline_help_touch: "Touch and pen: one finger or the pen turns, and pulls or probes when that tool is chosen; two fingers zoom and move. A tap names the structure.",
   offline_help_tools: "grab, probe",
