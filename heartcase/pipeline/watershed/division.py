@@ -381,9 +381,10 @@ def _mend_flat(shape, cost, axis_cost, voxels, painted, marks, distance, farthes
         if now >= farthest:
             is_known = False
             break
-        if distance[v] < now:
+        # sooner than now: as it was, or as it waits for its turn
+        if -now < distance[v] < now:
             continue
-        is_new = distance[v] > now
+        is_new = distance[v] != now
         distance[v] = now
         near_count = _near(v, per_slice, per_row, shape, near)
         label = painted[v]
@@ -403,7 +404,12 @@ def _mend_flat(shape, cost, axis_cost, voxels, painted, marks, distance, farthes
         for n in range(near_count):
             u = near[0, n]
             there = now + cost[u] * axis_cost[near[1, n]]
-            if distance[u] >= there or distance[u] == FAR:
+            known = np.int64(distance[u])
+            # a distance that is foretold is negative, so that the voxel waits for its turn once
+            if there < abs(known) or known == FAR:
+                distance[u] = -there
+                heapq.heappush(waiting, (there << INDEX_BITS) | u)
+            elif there == known:
                 heapq.heappush(waiting, (there << INDEX_BITS) | u)
     found = np.array(changed)
     values = marks[found]
