@@ -108,6 +108,50 @@ test("a hand that rests beside its pen does nothing", async () => {
   assert.deepEqual(asked, ["press", "drag", "release"]);
 });
 
+test("what is pressed again before the server has answered comes after it", async () => {
+  const held = [];
+  const answers = Array.from({ length: 8 }, () => new Promise((answer) => held.push(answer)));
+  const { asked, pointer, does } = begun({ hasTool: true, answers });
+  const answer = async () => (held.shift()({ kind: "done", used: true }), await later());
+  // two clicks, and a drag, all before the first answer to each
+  does("pointerdown", 1, 100, 100, "mouse");
+  does("pointerup", 1, 100, 100, "mouse");
+  does("pointerdown", 1, 150, 100, "mouse");
+  does("pointerup", 1, 150, 100, "mouse");
+  assert.deepEqual(asked, ["press"]);
+  await answer();
+  assert.deepEqual(asked, ["press", "release"]);
+  does("pointermove", 1, 160, 100, "mouse");
+  await answer();
+  assert.deepEqual(asked, ["press", "release", "press"]);
+  does("pointerdown", 1, 200, 100, "mouse");
+  does("pointermove", 1, 220, 100, "mouse");
+  await answer();
+  await answer();
+  assert.deepEqual(asked, ["press", "release", "press", "release", "press"]);
+  await answer();
+  assert.deepEqual(asked.slice(5), ["drag"]);
+  assert.ok(pointer.isUsed);
+  does("pointerup", 1, 220, 100, "mouse");
+  await answer();
+  assert.deepEqual(asked.slice(6), ["release"]);
+  await answer();
+  assert.ok(!pointer.isUsed);
+});
+
+test("what was pressed meanwhile is forgotten with all else", async () => {
+  const held = [];
+  const { asked, pointer, does } = begun({ hasTool: true, answers: [new Promise((answer) => held.push(answer))] });
+  does("pointerdown", 1, 100, 100, "mouse");
+  does("pointerup", 1, 100, 100, "mouse");
+  does("pointerdown", 1, 150, 100, "mouse");
+  pointer.forget();
+  held[0]({ kind: "done", used: true });
+  await later();
+  does("pointerup", 1, 150, 100, "mouse");
+  assert.deepEqual(asked, ["press"]);
+});
+
 test("the wheel zooms towards the pointer: what lies there stays there", () => {
   const { camera, does } = begun({ hasTool: false });
   const { right, up } = camera;

@@ -32,6 +32,8 @@ export class Pointer {
   #next = null;
   #isAsking = false;
   #isReleased = false;
+  /** Pressed again before the server was done with what was released: where, where to, and whether it is over. @type {{place: {x: number, y: number}, next: {x: number, y: number} | null, isReleased: boolean} | null} */
+  #following = null;
   #hasPen = false;
   /** Place of the pointer that keys lead; null while they lead none. @type {{x: number, y: number} | null} */
   cursor = null;
@@ -72,6 +74,7 @@ export class Pointer {
     this.#doing = "none";
     this.#next = null;
     this.#isReleased = false;
+    this.#following = null;
     this.cursor = null;
     this.does.cursorMoved();
   }
@@ -104,9 +107,13 @@ export class Pointer {
       this.#doing = "pinch";
       return;
     }
+    const isFirst = event.button === 0;
+    if (this.#isReleased && (this.#doing === "tool" || this.#doing === "asking") && isFirst && !event.shiftKey) {
+      this.#following = { place, next: null, isReleased: false };
+      return;
+    }
     if (this.#doing !== "none") return;
     this.#last = place;
-    const isFirst = event.button === 0;
     if (event.button === 1 || (isFirst && event.shiftKey)) this.#doing = "move";
     else if (!isFirst || !this.does.hasTool() || !this.does.isReady()) this.#doing = "turn";
     else if (isTouch) {
@@ -130,6 +137,10 @@ export class Pointer {
     }
     if (this.#doing === "pinch") this.#pinch(event.pointerId, place);
     this.#fingers.set(event.pointerId, place);
+    if (this.#following) {
+      if (!this.#following.isReleased) this.#following.next = place;
+      return;
+    }
     if (this.#doing === "waiting" && Math.hypot(place.x - this.#last.x, place.y - this.#last.y) > ALONE_PIXELS) this.#begin();
     if (this.#doing === "turn") this.#turn(place);
     else if (this.#doing === "move") {
@@ -143,6 +154,10 @@ export class Pointer {
   #up(event) {
     if (event.pointerType === "pen") this.#hasPen = false;
     if (!this.#fingers.delete(event.pointerId)) return;
+    if (this.#following) {
+      this.#following.isReleased = true;
+      return;
+    }
     if (this.#doing === "waiting") this.#begin();
     if (this.#doing === "tool" || this.#doing === "asking") this.#release();
     else if (this.#fingers.size === 0) this.#doing = "none";
@@ -205,6 +220,19 @@ export class Pointer {
     // also by the way that the pointer went, or went and ended, while that was asked
     this.#last = place;
     if (next) this.#turn(next);
+    this.#follow();
+  }
+
+  /** Do what was pressed meanwhile, once the server is done with what was before. */
+  #follow() {
+    const following = this.#following;
+    if (following === null || this.#doing !== "none") return;
+    this.#following = null;
+    if (!this.does.hasTool() || !this.does.isReady()) return;
+    this.#last = following.next ?? following.place;
+    void this.#press(following.place);
+    this.#next = following.next;
+    this.#isReleased = following.isReleased;
   }
 
   /** @param {{x: number, y: number}} place */
@@ -235,6 +263,7 @@ export class Pointer {
       await this.#ask({ do: isEnd ? "release" : "drag", pointer: this.camera.at(place.x, place.y) });
     }
     this.#isAsking = false;
+    this.#follow();
   }
 
   /** @param {number} notches away from the eye */
