@@ -30,13 +30,13 @@ from heartcase.simulator.surface.deform import (
 )
 from heartcase.simulator.surface_splitting.facing_kernels import corner_angles, sum_directions
 from heartcase.simulator.surface_splitting.hanging_kernels import find_bent, gather_near, hang_on, write_offsets
+from heartcase.simulator.surface_splitting.lips_and_walls import SplitMesh, split_mesh
 from heartcase.simulator.surface_splitting.surface_binding import (
     Seen,
     TiedSurface,
     Ties,
     tie_split,
 )
-from heartcase.simulator.surface_splitting.surface_split import SplitMesh, split_mesh
 
 __all__ = ["CuttableSurface", "SplitSurface", "split_surface"]
 

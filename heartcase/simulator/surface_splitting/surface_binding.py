@@ -23,6 +23,7 @@ from heartcase.simulator.mesh_arrangement.sheet_mesh import SheetMesh
 from heartcase.simulator.mesh_arrangement.surface_crossings import fill_buckets
 from heartcase.simulator.surface_splitting.gluing import number_parts
 from heartcase.simulator.surface_splitting.hiding_sheets import SheetBuckets, lay_planes
+from heartcase.simulator.surface_splitting.lips_and_walls import SplitMesh
 from heartcase.simulator.surface_splitting.near_sheets import (
     add_ways_near,
     add_ways_to_middles,
@@ -41,7 +42,6 @@ from heartcase.simulator.surface_splitting.seen_pieces import (
     nearest_halves,
     see_pieces,
 )
-from heartcase.simulator.surface_splitting.surface_split import SplitMesh
 
 __all__ = ["LatticeCells", "Seen", "TiedSurface", "Ties", "closest_weights", "tie_cells", "tie_split"]
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.mesh_arrangement.arrange import NOTHING_CROSSES, crossings
 from heartcase.simulator.surface_splitting import surface_binding
+from heartcase.simulator.surface_splitting.lips_and_walls import split_mesh
 from heartcase.simulator.surface_splitting.split_surface import _directions as directions
-from heartcase.simulator.surface_splitting.surface_split import split_mesh
 from tests.simulator.surface_splitting.plain_binding import (
     plain_directions,
     plain_near_sheets,

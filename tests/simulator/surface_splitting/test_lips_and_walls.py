@@ -18,8 +18,8 @@ from heartcase.simulator.mesh_arrangement.arrange import NOTHING_CROSSES, crossi
 from heartcase.simulator.mesh_arrangement.sheet_mesh import sheet_mesh
 from heartcase.simulator.mesh_arrangement.surface_crossings import cross_surface
 from heartcase.simulator.mesh_arrangement.uncut_surface import UncutSurface
-from heartcase.simulator.surface_splitting import surface_split
-from heartcase.simulator.surface_splitting.surface_split import split_mesh
+from heartcase.simulator.surface_splitting import lips_and_walls
+from heartcase.simulator.surface_splitting.lips_and_walls import split_mesh
 from tests.simulator.surface_splitting.surfaces import box, check_closed, part_volumes, plane, sheets, volume
 
 CUBE = box((3, 3, 3), (3.0, 3.0, 3.0))
@@ -74,7 +74,7 @@ def check_split(surface, blades):
     assert (along >= -1e-9).all()
     assert (along <= 1 + 1e-9).all()
     np.testing.assert_allclose(areas, along[:, None] * wanted, atol=1e-9)
-    with mock.patch.object(surface_split, "_NO_THICKNESS", -1.0):
+    with mock.patch.object(lips_and_walls, "_NO_THICKNESS", -1.0):
         everything = split(surface, blades)
     np.testing.assert_allclose(areas_by_triangle(everything, len(triangles)), wanted, atol=1e-9)
     return found
