@@ -159,7 +159,8 @@ def test_workers_leave_interrupts_to_the_main_process():
 def test_an_interrupt_while_workers_start_is_one_line_and_leaves_nothing(tmp_path):
     """A process that is still importing cannot have been told to leave Ctrl-C to the main one."""
     psutil = pytest.importorskip("psutil")
-    folder = make_library(tmp_path / "recipes", 1)
+    # enough that it is not done before, where this process has to wait for a core
+    folder = make_library(tmp_path / "recipes", 12)
     command = [sys.executable, "-m", "heartcase", "library", "build", str(folder), "--out", str(tmp_path / "out")]
     with subprocess.Popen(
         [*command, "--workers", "1"],
