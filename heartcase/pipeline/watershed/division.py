@@ -407,7 +407,7 @@ def _mend_flat(shape, cost, axis_cost, voxels, painted, marks, distance, farthes
             known = np.int64(distance[u])
             # a distance that is foretold is negative, so that the voxel waits for its turn once
             if there < abs(known) or known == FAR:
-                distance[u] = -there
+                distance[u] = -min(there, farthest)
                 heapq.heappush(waiting, (there << INDEX_BITS) | u)
             elif there == known:
                 heapq.heappush(waiting, (there << INDEX_BITS) | u)
