@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.watershed import forest as forest_module
+from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.studio.messages import boxes_message
@@ -38,8 +39,11 @@ def noise():
 
 
 @pytest.fixture(scope="module")
-def tree():
-    return SegmentationSession.of_scan(noise(), TABLE)._forest.tree
+def trees():
+    tree = SegmentationSession.of_scan(noise(), TABLE)._forest.tree
+    # the same with half of it in flat minima, one of them much larger than the others
+    floored = np.maximum(tree.height, np.median(tree.height))
+    return tree, build_basin_tree(floored, tree.cost, tree.axis_cost)
 
 
 class Seen:
@@ -77,6 +81,17 @@ steps = st.one_of(
 )
 
 
+def go_on(session, pages, asking):
+    """What a page that asks for the rest is sent."""
+    if not session.is_dividing:
+        asking.take(asking.shown.rest())
+        return
+    session.catch_up()
+    for one in pages:
+        one.shown.note(session.put_off_tiles)
+    asking.take(asking.shown.in_sight())
+
+
 @settings(max_examples=15, deadline=None, phases=WITHOUT_SHRINKING)
 @given(
     todo=st.lists(steps, min_size=3, max_size=10),
@@ -84,18 +99,21 @@ steps = st.one_of(
     most=st.sampled_from([0, 10**9]),
     behind=st.sampled_from([(0, 1.0), (0, 0.03), (10**9, 0.0)]),
     mended=st.sampled_from([0.005, 0.005, 0.5]),
+    divided=st.sampled_from([10**9, 7, 200, 2000]),
+    is_floored=st.booleans(),
     one_by_one=st.sampled_from([0, 10**9]),
 )
 def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(
-    tree, todo, at_once, most, behind, mended, one_by_one
+    trees, todo, at_once, most, behind, mended, divided, is_floored, one_by_one
 ):
+    tree = trees[is_floored]
     geometry = lattice()
 
     def place(point):
         return geometry.index_to_world(np.array(point) * (np.array(SHAPE[::-1]) - 1)).tolist()
 
     limits = {"BEHIND_FROM": behind[0], "FEW_MARKED": behind[1], "MOST_MENDED": mended}
-    limits["MOST_ONE_BY_ONE"] = one_by_one
+    limits |= {"MOST_ONE_BY_ONE": one_by_one, "DIVIDED_AT_ONCE": divided, "DIVIDED_IN_PAUSES": divided}
     with patch.multiple(forest_module, MOST_AT_ONCE=at_once, MOST_LISTED=most, **limits):
         session, plain = SegmentationSession(tree, geometry, TABLE), SegmentationSession(tree, geometry, TABLE)
         session.put_off()
@@ -121,19 +139,23 @@ def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(
                 pages[how[0]].shown.look(planes[how[0]])
                 pages[how[0]].take(pages[how[0]].shown.in_sight())
             elif what == "rest":
-                pages[how[0]].take(pages[how[0]].shown.rest())
+                go_on(session, pages, pages[how[0]])
             elif what == "join":
                 # somebody wants everything at once
                 np.testing.assert_array_equal(session.labels, plain.labels)
             elif what == "glance":
                 some = np.s_[how[0] :: 3, 1:-1:2, ::4]
-                np.testing.assert_array_equal(session.thinned_labels(some), plain.labels[some])
+                thinned = session.thinned_labels(some)
+                assert session.is_dividing or np.array_equal(thinned, plain.labels[some])
             for one in pages:
                 one.shown.note(session.put_off_tiles)
             for one in pages:
                 if box is not None:
-                    one.take([boxes_message([box], session.labels_of_boxes([box]))])
+                    session.settle_boxes([box])
+                    one.take([boxes_message([box], session.labels_so_far([box]))])
                 one.take(one.shown.in_sight())
+            if session.is_dividing:
+                continue
             for one, looked in zip(pages, planes, strict=True):
                 seen = voxels_seen(looked)
                 np.testing.assert_array_equal(one.talker.labels[seen], plain.labels[seen])
@@ -141,6 +163,8 @@ def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(
             np.testing.assert_array_equal(session._forest.label_counts(), counts)
             assert session.marked_values() == set(np.unique(plain.marked).tolist()) - {255}
         for one in pages:
+            while session.is_dividing:
+                go_on(session, pages, one)
             for _ in range(40):
                 if not one.shown.has_rest:
                     break
@@ -161,6 +185,32 @@ def write_large_recipe(folder):
     path = folder / "painted.toml"
     path.write_text('heartcase_recipe = 1\nname = "painted"\n\n[scan]\npath = "scan.nii.gz"\nmodality = "MR"\n')
     return path
+
+
+def test_a_flat_that_is_divided_bit_by_bit_is_told_in_the_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(forest_module, "DIVIDED_AT_ONCE", 50)
+    monkeypatch.setattr(forest_module, "DIVIDED_IN_PAUSES", 2000)
+    path = write_large_recipe(tmp_path)
+    path.write_text(path.read_text() + "\n[segment]\nnoise_floor = 20.0\n")
+    middle = [0.5 * n * s for n, s in zip(SHAPE[::-1], SPACING, strict=True)]
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="look", planes=[{"point_mm": middle, "normal": [0, 0, 1]}])
+        session = browser.opened.places["socket"]._painting._opened.session
+        divided, aorta = 0, TABLE.find("aorta").value
+        for label, share in (("aorta", 0.3), ("background", 0.7)):
+            assert talker.ask(do="paint", label=label, radius_mm=2.0, points_mm=[[share * m for m in middle]])["rest"]
+            talker.ask(do="end")
+            # volumes are told when they are known
+            assert "volumes_ml" not in [one for one in talker.told if one["kind"] == "structures"][-1]
+            while talker.ask(do="rest")["rest"]:
+                divided += session.is_dividing
+            exact = shown_from_scratch(path)
+            np.testing.assert_array_equal(talker.labels, exact)
+            (*_, told) = (one for one in talker.told if one["kind"] == "structures")
+            ml = (exact == aorta).sum() * np.prod(SPACING) / 1000.0
+            assert told["volumes_ml"]["aorta"] == pytest.approx(ml, abs=1e-3)
+        assert divided > 2
+        assert 0 < (exact == aorta).sum() < 0.9 * exact.size
 
 
 def test_pages_that_look_elsewhere_and_one_that_says_nothing_end_alike(tmp_path, monkeypatch):

@@ -39,7 +39,7 @@ def first_look(session: SegmentationSession, recipe: Recipe) -> Segmentation:
     MarkerError
         Nothing is marked.
     """
-    if not session.put_off_tiles.any():
+    if not (session.is_dividing or session.put_off_tiles.any()):
         return session.segmentation()
     geometry = session.geometry
     size, spacing = np.array(geometry.size), np.array(geometry.spacing_mm)

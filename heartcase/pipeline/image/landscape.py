@@ -15,12 +15,13 @@ watershed of the gradient alone: chambers are mostly divided better, the myocard
 Even so the label that first finds a way through a valve may take the whole next chamber: of many low passes the lowest
 is an accident of the noise. So nothing is lower than a *noise floor*, 4 times that percentile in a CT and 6 times in
 other scans; less where a scan has so little noise that the percentile is near that of its borders. What lies below is
-flat, and labels that mark one flat share it by the shortest ways (:mod:`heartcase.pipeline.watershed.division`). A
-step there costs 1 + h^4, with the height h from before the floor in tenth percentiles: so a weak border, or a narrow,
-still is where labels meet, unless it is far nearer to the one marker than to the other. (Ways that add up are those of
-a geodesic distance, Criminisi, Sharp and Blake, ECCV 2008; their highest pass is that of a watershed. This takes the
-one below the floor and the other above it.) ``heartcase bench accuracy-default`` measures it. Blur, share, floor and
-exponent were chosen on phantoms, so those are no independent test of them.
+flat, and labels that mark one flat share it by the shortest ways
+(:mod:`heartcase.pipeline.watershed.flat_minima.division`). A step there costs 1 + h^4, with the height h from before
+the floor in tenth percentiles: so a weak border, or a narrow, still is where labels meet, unless it is far nearer to
+the one marker than to the other. (Ways that add up are those of a geodesic distance, Criminisi, Sharp and Blake, ECCV
+2008; their highest pass is that of a watershed. This takes the one below the floor and the other above it.) ``heartcase
+bench accuracy-default`` measures it. Blur, share, floor and exponent were chosen on phantoms, so those are no
+independent test of them.
 """
 
 from __future__ import annotations

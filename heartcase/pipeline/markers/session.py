@@ -126,7 +126,9 @@ class SegmentationSession:
 
         Where a stroke changes many, :meth:`paint`, :meth:`extend`, :meth:`undo` and :meth:`redo` return None, and
         :attr:`put_off_tiles` says where labels may have changed. Nothing that is asked for is ever of before:
-        :meth:`labels_of_boxes` works out what it needs, and all else works out the rest first.
+        :meth:`labels_of_boxes` works out what it needs, and all else works out the rest first. But where a large flat
+        minimum is being divided among several labels, what is settled or asked for *so far* has the labels that are
+        known yet (:attr:`is_dividing`).
         """
         load_stroke_kernels()
         middle = self.geometry.index_to_world(0.5 * np.array([self.geometry.size]))
@@ -134,10 +136,23 @@ class SegmentationSession:
             Stroke(erase=True, radius_mm=min(self.geometry.spacing_mm), points_mm=middle.tolist()), self.geometry
         )
         self._forest.puts_off = True
+        self._forest.get_ready()
 
     def catch_up(self) -> bool:
         """Work out, of what is put off, some of what the next stroke needs, a few ms long; whether there was any."""
+        if self._forest.is_dividing:
+            self._note(None)
         return self._forest.fill_some()
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the labels of all voxels are worked out."""
+        return self._forest.is_settled
+
+    @property
+    def is_dividing(self) -> bool:
+        """Whether flat minima are being divided, piece by piece with :meth:`catch_up`; tiles with them get put off."""
+        return self._forest.is_dividing
 
     @property
     def put_off_tiles(self) -> Bool:
@@ -163,7 +178,7 @@ class SegmentationSession:
         self._forest.settle_sight(sight)
 
     def settle_boxes(self, boxes: Sequence[Box]) -> None:
-        """Work out labels that are put off in some boxes, as :meth:`labels_of_boxes` does."""
+        """Work out labels that are put off in some boxes, those that are known so far."""
         self._forest.settle_boxes(boxes)
 
     def labels_of_boxes(self, boxes: Sequence[Box]) -> list[UInt8]:
@@ -174,11 +189,12 @@ class SegmentationSession:
         boxes
             Within the scan. A tile is not put off any more where one of them is all of it.
         """
+        self._forest.finish_dividing()
         self._forest.settle_boxes(boxes)
         return [self._forest.labels[box].copy() for box in boxes]
 
     def thinned_labels(self, box: Box) -> UInt8:
-        """Labels of every n-th voxel along each axis in slices [z, y, x] with steps: a copy; the rest stays put off."""
+        """Labels so far of every n-th voxel along each axis in slices [z, y, x] with steps: a copy, and not settled."""
         self._forest.settle_voxels(voxels_at(box, self.geometry.shape))
         return np.ascontiguousarray(self._forest.labels[box])
 
@@ -462,7 +478,7 @@ class SegmentationSession:
         if self._automatic is not None and len(voxels):
             voxels, values = self._automatic.paint(voxels, values)
         box = self._forest.restore(voxels, values)
-        if self._locks.values and self._forest.put_off.any():
+        if self._locks.values and (self._forest.is_dividing or self._forest.put_off.any()):
             # locks look at every voxel
             self._forest.settle()
             k, j, i = (slice(0, n) for n in self._forest.labels.shape)
@@ -485,7 +501,7 @@ class SegmentationSession:
         if self._locks.values:
             self._locks.hold(self._forest.labels, box)
         changed = box
-        if self._forest.put_off.any():
+        if self._forest.is_dividing or self._forest.put_off.any():
             # what is put off is not known to have stayed
             k, j, i = (slice(0, n) for n in self._forest.labels.shape)
             changed = k, j, i

@@ -8,7 +8,7 @@ is that pass, ``other`` the lowest pass of all other labels, and
 
 0 where another label comes over a pass as low (also where ``other`` is 0), 1 where there is no other label. It is free
 of scale: a landscape twice as high has the same certainties. A painted voxel has certainty 1; one that got its mark
-when a contested flat minimum was divided (:mod:`heartcase.pipeline.watershed.division`) has 0.
+when a contested flat minimum was divided (:mod:`heartcase.pipeline.watershed.flat_minima.division`) has 0.
 
 All ways count, also those across marked voxels: a stroke lifts the certainty of what hangs on it, but is no dam.
 

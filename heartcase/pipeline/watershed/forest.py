@@ -16,9 +16,11 @@ import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.watershed.boxes import Box, as_box, in_parts, tiles_around, voxels_in, within
-from heartcase.pipeline.watershed.descent import row_chunks, side_offsets
-from heartcase.pipeline.watershed.division import Division, divided_flats, redivided
+from heartcase.pipeline.kernels.counting import count_values
+from heartcase.pipeline.watershed.boxes import Box, around_both, as_box, in_parts, tiles_around, voxels_in, within
+from heartcase.pipeline.watershed.descent import ROOT, row_chunks, side_offsets
+from heartcase.pipeline.watershed.flat_minima.division import Division, Groups, divided_flats
+from heartcase.pipeline.watershed.flat_minima.mending import ALL
 from heartcase.pipeline.watershed.hanging import Filling, PartedForest, solve_parted
 from heartcase.pipeline.watershed.incremental import mend, unmark
 from heartcase.pipeline.watershed.marks import (
@@ -36,7 +38,6 @@ from heartcase.pipeline.watershed.painting import (
     MARKED_BASIN,
     TILE,
     count_labels,
-    count_values,
     paint_basins,
     paint_boxes,
     paint_rows,
@@ -52,6 +53,10 @@ NO_FLAT = -1
 MOST_MENDED = 0.005
 """Share of the feet that a label is carried to, or that hang on erased markers, at most; with more, solving anew is
 quicker."""
+MENDED_FOR_MARKED = 0.1
+"""Feet that may be mended besides for each marked basin: with many of these solving anew takes longer."""
+MOST_ERASED = 100_000
+"""Voxels that lose their marks up to which what hung on them is looked up; with more, all is solved anew."""
 MOST_AT_ONCE = 100_000
 """Voxels in basins that changed that are painted at once where painting may be put off."""
 MOST_LISTED = 300_000
@@ -64,6 +69,12 @@ MOST_CARRIED = 2_000
 """Feet that a label is carried to, or that hang on erased markers, at most where it is; with more it is quicker."""
 BEHIND_FROM = 50_000
 """Basins from which on passes over all of them are put off, too."""
+LARGE_FLAT = 300_000
+"""Voxels in the basins of a flat minimum from which on memory is got for its division before it is needed."""
+DIVIDED_AT_ONCE = 3_000
+"""Voxels of contested flat minima that get their marks with a stroke where that is put off."""
+DIVIDED_IN_PAUSES = 15_000
+"""The same, in one piece, while nothing is painted."""
 FILLED_AT_ONCE = 400_000
 """Feet that are worked out in one piece where they were put off."""
 WHOLE_SHARE = 0.15
@@ -116,11 +127,13 @@ class Forest:
         self.stamps = np.zeros(self.put_off.shape, np.int64)
 
     def copy(self) -> Forest:
-        """The same forest, settled, with arrays of its own; both have one tree."""
+        """The same forest, with all worked out and arrays of its own; both have one tree."""
+        self.fill()
         self.settle()
         names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
-        division = self._division and self._division.copy()
-        return replace(self, _division=division, **{name: getattr(self, name).copy() for name in names})
+        copies = {name: getattr(self, name).copy() for name in names}
+        division = self._division and self._division.copy(copies["flat_label"])
+        return replace(self, _division=division, **copies)
 
     def paint(self, voxels: Int64, label: int) -> Box | None:
         """Mark voxels with a label, and mend the forest where that changes it.
@@ -156,7 +169,7 @@ class Forest:
         strokes = [(label, voxels) for label, voxels in strokes if len(voxels)]
         if not strokes:
             return None
-        self._forget()
+        before = [flat_painted[voxels] for _, voxels in strokes]
         for label, voxels in strokes:
             if self._painted_counts is not None:
                 gone = np.bincount(flat_painted[voxels], minlength=256)
@@ -165,34 +178,66 @@ class Forest:
             flat_painted[voxels] = label
         tree = self.tree
         flats = tree.height.view(np.int32).ravel(), tree.basin.ravel(), tree.root, tree.flat, self.flat_label
-        if any(is_flat_contested(*flats, voxels, label) for label, voxels in strokes):
-            if self._division is None:
-                self._division = Division(np.zeros(self.marks.size, np.int32))
-            strokes = redivided(tree, self.painted, self.marks, self.flat_label, strokes, self._division)
-        return self._mark(strokes)
+        if not any(is_flat_contested(*flats, voxels, label) for label, voxels in strokes):
+            return self._mark(strokes)
+        if self._division is None:
+            self._division = Division.of_none(tree, self.flat_label)
+        box = None
+        voxels, was = np.concatenate([one for _, one in strokes]), np.concatenate(before)
+        marked = self.marks.reshape(-1)
+        for groups in self._division.redivided(flat_painted, marked, voxels, was, is_put_off=self.puts_off):
+            self._note_begun(self._division.begun)
+            box = around_both(box, self._mark(groups))
+        if self._division.is_busy:
+            box = around_both(box, self._divide(DIVIDED_AT_ONCE))
+        return box
 
-    def _mark(self, groups: Sequence[tuple[int, Int64]]) -> Box | None:
+    def _note_begun(self, begun: list[Int64]) -> None:
+        """Note lowest marks of flat minima that have their one label everywhere: no label changes by them.
+
+        All basins of such a flat have its label at their feet, and no way to another foot leads through a lower key.
+        """
+        for lowest in begun:
+            bits, direction, basin, _ = self._landscape
+            here = basin[lowest]
+            self.lowest_mark[here] = lowest
+            # as own_key says
+            key = (bits[lowest].astype(np.int64) << 32) | (lowest << 3)
+            self.foot_level[here] = np.where(direction[lowest] == ROOT, 0, key)
+            self._forget()
+            self._marked = None
+        begun.clear()
+
+    def _mark(self, groups: Groups, most_at_once: int | None = None) -> Box | None:
         """Give voxels marks, label by label (255: none), and mend the forest; the box in which labels changed."""
         if not groups:
             return None
+        self._forget()
         tree = self.tree
         basin = tree.basin.ravel()
-        basins = [basin[voxels] for _, voxels in groups]
-        self._marked = np.union1d(self._known_marked(), np.concatenate(basins)) if self._may_fall_behind else None
+        is_touched = np.zeros(tree.basin_count, np.bool_)
+        for _, voxels in groups:
+            is_touched[basin[voxels]] = True
+        touched = np.flatnonzero(is_touched)
+        self._marked = np.union1d(self._known_marked(), touched) if self._may_fall_behind else None
         is_quick = self._is_quick
         if is_quick and self._is_behind:
             self._note(groups)
             self.fall_behind()
             return None
-        self.fill()
+        self._fill_feet()
         graph = (*tree.neighbours, tree.key, *tree.ends)
         feet = (self.marks.reshape(-1), self.foot_label, self.foot_level, self.lowest_mark)
-        most = min(int(MOST_MENDED * tree.basin_count), MOST_CARRIED if is_quick else tree.basin_count)
+        worth = MOST_MENDED * tree.basin_count + MENDED_FOR_MARKED * np.count_nonzero(self.lowest_mark >= 0)
+        most = min(int(worth), MOST_CARRIED if is_quick else tree.basin_count)
         before = None if is_quick else self.foot_label.copy()
         changed: list[Int64] = []
         for number, (label, voxels) in enumerate(groups):
             if label != UNMARKED:
                 found = mend(self._landscape, graph, voxels, label, *feet, most)
+            elif len(voxels) > MOST_ERASED:
+                self._note([(label, voxels)])
+                found = np.empty(0, np.int64)
             else:
                 found = unmark(self._landscape, graph, tree.voxels, voxels, *feet, most)
             if not len(found):
@@ -200,19 +245,20 @@ class Forest:
                 break
             changed.append(found)
         else:
-            return self._paint_basins(changed[0] if len(changed) == 1 else np.unique(np.concatenate(changed)))
+            every = changed[0] if len(changed) == 1 else np.unique(np.concatenate(changed))
+            return self._paint_basins(every, most_at_once)
         if before is None:
             self.fall_behind()
             return None
         self._is_behind = True
-        self.fill()
+        self._fill_feet()
         if not self.puts_off:
             return self._paint_whole()
         is_changed = self.foot_label != before
-        is_changed[np.concatenate(basins)] = True
-        return self._paint_basins(np.flatnonzero(is_changed))
+        is_changed[touched] = True
+        return self._paint_basins(np.flatnonzero(is_changed), most_at_once)
 
-    def _note(self, groups: Sequence[tuple[int, Int64]]) -> None:
+    def _note(self, groups: Groups) -> None:
         """Give voxels marks, and leave the forest as it is."""
         tree, marks = self.tree, self.marks.reshape(-1)
         bits, basin = tree.height.view(np.int32).ravel(), tree.basin.ravel()
@@ -258,15 +304,15 @@ class Forest:
         return bool((self.lowest_mark >= 0).any())
 
     def label_counts(self) -> Int64:
-        """Number of voxels of each label, int64, shape (256,); nothing that was put off has to be settled for it."""
+        """Number of voxels of each label, int64, shape (256,); labels that were put off stay so."""
+        self.finish_dividing()
+        if self.is_settled:
+            found: Int64 = count_values(self.labels.reshape(-1))
+            return found
         if self._is_behind:
             return self._solution().label_counts(self.tree, self._way_down, self.marks.reshape(-1))
-        first_voxel, voxel_list = self.tree.voxels
         _, ways, _, offsets = self._way_down
-        count: Int64 = count_labels(
-            first_voxel, voxel_list, ways, offsets, self.marks.reshape(-1), self.lowest_mark, self.foot_label
-        )
-        return count
+        return count_labels(*self.tree.voxels, ways, offsets, self.marks.reshape(-1), self.lowest_mark, self.foot_label)
 
     def painted_counts(self) -> Int64:
         """Number of voxels that are painted with each label, int64, shape (256,)."""
@@ -275,8 +321,9 @@ class Forest:
         return self._painted_counts.copy()
 
     def settle(self) -> None:
-        """Work out all that was put off."""
-        self.fill()
+        """Work out all labels that were put off."""
+        self.finish_dividing()
+        self._fill_feet()
         if self.put_off.any():
             self._paint_whole()
 
@@ -331,13 +378,47 @@ class Forest:
         bits, _, basin, offsets = self._landscape
         return bits, self.tree.ways.ravel(), basin, offsets
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether all labels are worked out."""
+        return not (self.is_dividing or self._is_behind or self.put_off.any())
+
+    @property
+    def is_dividing(self) -> bool:
+        """Whether flat minima are still being divided: labels in them are of before where they are not yet."""
+        return self._division is not None and self._division.is_busy
+
+    def finish_dividing(self) -> None:
+        """Divide all contested flat minima to the end."""
+        while self.is_dividing:
+            self._divide(ALL)
+
     def fill(self) -> None:
-        """Work out the labels and levels of all feet, where they were put off."""
-        while self.fill_some(self.tree.basin_count):
-            pass
+        """Work out all marks, and the labels and levels of all feet, where they were put off: as :meth:`solve` does."""
+        while self._division is not None and not self._division.is_done:
+            self._divide(ALL)
+        self._fill_feet()
 
     def fill_some(self, most: int = FILLED_AT_ONCE) -> bool:
-        """Work out some of the feet that were put off; whether there were any."""
+        """Work out some of the marks or of so many feet that were put off; whether there were any."""
+        if self.is_dividing:
+            # who asks is told by the tiles that are put off
+            self._divide(DIVIDED_IN_PAUSES, most_painted=-1)
+            return True
+        return self._fill_some_feet(most)
+
+    def _divide(self, most: int, most_painted: int | None = None) -> Box | None:
+        """Divide flat minima on by so many voxels; the box in which labels changed."""
+        if self._division is None:
+            return None
+        groups = self._division.go_on(self.painted.reshape(-1), self.marks.reshape(-1), most)
+        return self._mark(groups, most_painted)
+
+    def _fill_feet(self) -> None:
+        while self._fill_some_feet(self.tree.basin_count):
+            pass
+
+    def _fill_some_feet(self, most: int) -> bool:
         if not self._is_behind:
             return False
         if self._filling is None:
@@ -356,6 +437,15 @@ class Forest:
     def _is_quick(self) -> bool:
         """Whether solving anew is quick, and passes over all basins are put off."""
         return self._may_fall_behind and len(self._known_marked()) <= FEW_MARKED * self.tree.basin_count
+
+    def get_ready(self) -> None:
+        """Have the memory at hand that dividing a large flat minimum takes."""
+        flat, first_voxel = self.tree.flat, self.tree.voxels[0]
+        sizes = np.bincount(flat + 1, weights=np.diff(first_voxel))[1:]
+        if self._division is None and sizes.max(initial=0) > LARGE_FLAT:
+            self._division = Division.of_none(self.tree, self.flat_label)
+            # written to, or the first stroke would wait until the memory is there
+            self._division.distance.fill(0)
 
     def fall_behind(self) -> None:
         """Leave all that follows from the markers to whoever asks for it."""
@@ -394,11 +484,12 @@ class Forest:
             self._solution().fill_labels(self._feet_now)
         return self._feet_now
 
-    def _paint_basins(self, changed: Int64) -> Box | None:
+    def _paint_basins(self, changed: Int64, most_at_once: int | None) -> Box | None:
+        """Paint basins that changed, or put that off where they hold more voxels; the box in which labels changed."""
         tree = self.tree
         first_voxel, voxel_list = tree.voxels
         count = int((first_voxel[changed + 1] - first_voxel[changed]).sum())
-        if self.puts_off and count > MOST_AT_ONCE:
+        if self.puts_off and count > (MOST_AT_ONCE if most_at_once is None else most_at_once):
             self.put_off_times += 1
             if count > MOST_LISTED:
                 self.put_off[:] = True

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.pipeline.data import UNMARKED
+from heartcase.pipeline.watershed.flat_minima.division_kernels import FAR
+from heartcase.pipeline.watershed.flat_minima.mending import Mending
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.marks import note_erased, note_marked
 from heartcase.pipeline.watershed.painting import tiles_of
@@ -38,3 +40,21 @@ def load_stroke_kernels() -> None:
     note_marked(bits, basin, voxels, 1, marks, lowest)
     note_erased(bits, basin, tree.voxels, voxels, marks, lowest)
     forest.settle()
+    _load_flat_kernels()
+
+
+def _load_flat_kernels() -> None:
+    """The same for strokes in a flat minimum that several labels mark: all is one."""
+    tree = build_basin_tree(np.zeros((2, 4, 4), np.float32))
+    forest = solve_forest(tree, np.full((2, 4, 4), UNMARKED, np.uint8))
+    forest.puts_off = True
+    # divided, mended outwards, withdrawn, and of one label again
+    for voxel, label in ((0, 1), (31, 2), (5, 2), (5, UNMARKED), (31, UNMARKED)):
+        forest.paint(np.array([voxel]), label)
+    forest.settle()
+    painted, voxels = forest.painted.reshape(-1), np.array([0])
+    distance = np.full(painted.size, FAR, np.int32)
+    mending = Mending(tree.height.shape, *tree.costs, distance, FAR)
+    mending.feed(voxels, np.array([UNMARKED], np.uint8), painted, painted.copy())
+    mending.go_on(painted, painted.copy(), 1)
+    mending.take_back(painted.copy())

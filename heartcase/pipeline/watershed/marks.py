@@ -8,10 +8,10 @@ from heartcase.compiling.calls import copied
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.descent import ROOT
+from heartcase.pipeline.watershed.flat_minima.division_kernels import CONTESTED
 from heartcase.schemas.arrays import Int64, UInt8
 
 __all__ = [
-    "CONTESTED",
     "find_lowest_marks",
     "is_flat_contested",
     "mark_below",
@@ -22,9 +22,6 @@ __all__ = [
     "own_key",
     "reach",
 ]
-
-CONTESTED = -2
-"""Of a flat minimum: several labels mark it."""
 
 
 def marked_voxels(marks: UInt8) -> Int64:

@@ -11,10 +11,12 @@ from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed.marks import mark_below
 from heartcase.schemas.arrays import Int32, Int64, UInt8
 
-__all__ = ["TILE", "count_labels", "count_values", "paint_basins", "paint_boxes", "paint_rows", "tiles_of"]
+__all__ = ["TILE", "count_labels", "paint_basins", "paint_boxes", "paint_rows", "tiles_of"]
 
 TILE = 32
 """Voxels along a side of the tiles that labels may be put off in."""
+
+_COUNTED_CHUNKS = 64
 
 MARKED_BASIN = 254
 """In the table of the feet's labels: look at the voxel itself."""
@@ -136,24 +138,31 @@ def tiles_of(changed, first_voxel, voxel_list, shape, is_in):
             is_in[k // TILE, j // TILE, (rest - j * nx) // TILE] = True
 
 
-@kernel
-def count_labels(first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label):
+def count_labels(
+    first_voxel: Int64,
+    voxel_list: Int32,
+    direction: UInt8,
+    offsets: Int64,
+    marks: UInt8,
+    lowest_mark: Int64,
+    foot_label: UInt8,
+) -> Int64:
     """How many voxels have each label, int64, shape (256,): what painting gives, whether or not it is done."""
-    count = np.zeros(256, np.int64)
-    for b in range(len(foot_label)):
-        if lowest_mark[b] < 0:
-            count[foot_label[b]] += first_voxel[b + 1] - first_voxel[b]
-            continue
-        for n in range(first_voxel[b], first_voxel[b + 1]):
-            mark = mark_below(np.int64(voxel_list[n]), direction, offsets, marks)
-            count[mark if mark != UNMARKED else foot_label[b]] += 1
-    return count
+    chunks = np.searchsorted(first_voxel, np.linspace(0, len(voxel_list), _COUNTED_CHUNKS + 1))
+    counts = np.zeros((_COUNTED_CHUNKS, 256), np.int64)
+    _count_chunks(chunks, first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label, counts)
+    total: Int64 = counts.sum(axis=0)
+    return total
 
 
-@kernel
-def count_values(values):
-    """How many of each value there are, int64, shape (256,)."""
-    count = np.zeros(256, np.int64)
-    for value in values:
-        count[value] += 1
-    return count
+@loop_kernel
+def _count_chunks(chunks, first_voxel, voxel_list, direction, offsets, marks, lowest_mark, foot_label, counts):
+    """Count the labels of each chunk of basins, int64, shape (chunks, 256)."""
+    for c in numba.prange(len(chunks) - 1):
+        for b in range(chunks[c], chunks[c + 1]):
+            if lowest_mark[b] < 0:
+                counts[c, foot_label[b]] += first_voxel[b + 1] - first_voxel[b]
+                continue
+            for n in range(first_voxel[b], first_voxel[b + 1]):
+                mark = mark_below(np.int64(voxel_list[n]), direction, offsets, marks)
+                counts[c, mark if mark != UNMARKED else foot_label[b]] += 1

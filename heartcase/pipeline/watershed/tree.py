@@ -74,7 +74,7 @@ class BasinTree:
 
     @cached_property
     def costs(self) -> tuple[UInt16, Int64]:
-        """Costs of all voxels, flat, and of the axes, int64, for :mod:`heartcase.pipeline.watershed.division`."""
+        """Costs of all voxels, flat, and of the axes, int64, for the division of flat minima."""
         cost = np.ones(self.height.size, np.uint16) if self.cost is None else self.cost.reshape(-1)
         return cost, np.array(self.axis_cost, np.int64)
 

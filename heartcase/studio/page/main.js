@@ -63,6 +63,7 @@ function run() {
   // all labels at once, which the fine look takes, would hold a stroke up, or those that are shown
   const isBusy = () => studio.stroke.value !== null || seen.hasRest;
   const preview = runPreview(views, (request) => connection.ask(request), (error) => fault(error), isBusy);
+  seen.yields = () => preview.isFirstLook;
   hands.lookAt = (mm) => views.lookAt(mm);
   hands.labelValueAt = (voxel) => views.volume?.labelAt(voxel) ?? null;
   const shapePanel = new ShapePanel(find("panel-shape"), studio, views, shaping, hands);
@@ -134,7 +135,7 @@ function run() {
     else if (message.kind === "structures") {
       preview.refresh();
       shapePanel.tellLumens();
-      structures.tell(message.volumes_ml ?? {}, message.marked, message.locked ?? []);
+      structures.tell(message.volumes_ml, message.marked, message.locked ?? []);
       guide.forget();
       guide.tell(message.checklist ?? [], message.marked ?? []);
     } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);

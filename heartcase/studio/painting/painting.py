@@ -50,6 +50,8 @@ from heartcase.studio.shaping.shaping import Shaping
 
 __all__ = ["Answer", "Painting", "open_painting"]
 
+_SHOWN_EVERY_S = 0.04
+"""While flat minima are divided, what is in sight is shown so often."""
 _CT_WINDOW = (-150.0, 450.0)
 """Contrast-filled chambers, muscle and fat, HU."""
 _ATRIA = ("82471001", "73829009")
@@ -92,6 +94,7 @@ class Painting:
         self._drawn_by: object | None = None
         self._locks = locks
         self._shown: dict[object, Shown] = {}
+        self._tells_volumes = False
         opened.session.put_off()
         self._right = locks.with_name(locks.name.replace(".locks.", ".right."))
         lock_again(opened.session, locks)
@@ -201,11 +204,25 @@ class Painting:
                 return Answer(for_each={page: shown.in_sight()}, done=self._seen(request, shown))
             case Rest():
                 shown = self._shown.setdefault(page, Shown(session))
-                # one thing at a time: a stroke may be waiting
-                messages = () if session.catch_up() else shown.rest()
-                return Answer(for_each={page: messages}, done=self._seen(request, shown))
+                return self._rest(request, page, shown)
             case Planes():
                 return Answer(done=planes_message(request.id, session, self._history.recipe.landmarks))
+
+    def _rest(self, request: Rest, page: object, shown: Shown) -> Answer:
+        """Some of what has still to come: one thing at a time, as a stroke may be waiting."""
+        session = self._opened.session
+        was_dividing = session.is_dividing
+        messages: tuple[bytes, ...] = ()
+        if not session.catch_up():
+            messages = shown.rest()
+        elif was_dividing:
+            for one in self._shown.values():
+                one.note(session.put_off_tiles)
+            # what is between is for the eye alone
+            if not session.is_dividing or shown.seconds_since_seen > _SHOWN_EVERY_S:
+                messages = shown.in_sight()
+        for_all = (self._structures(),) if self._tells_volumes and session.is_settled else ()
+        return Answer(for_all, self._seen(request, shown), for_each={page: messages})
 
     @property
     def is_outdated(self) -> bool:
@@ -272,21 +289,23 @@ class Painting:
         if (put_off := session.put_off_tiles).any():
             for shown in self._shown.values():
                 shown.note(put_off)
-            if not self._shown.keys() >= set(pages):
-                # who does not say what it shows is sent everything
-                k, j, i = (slice(0, n) for n in session.labels.shape)
-                box = k, j, i
-        labels = () if box is None else (boxes_message([box], session.labels_of_boxes([box])),)
+        if (session.is_dividing or put_off.any()) and not self._shown.keys() >= set(pages):
+            # who does not say what it shows is sent everything
+            k, j, i = (slice(0, n) for n in session.labels.shape)
+            box = k, j, i
+        if box is not None:
+            session.settle_boxes([box])
+        labels = () if box is None else (boxes_message([box], session.labels_so_far([box])),)
         in_sight = {page: shown.in_sight() for page, shown in self._shown.items() if shown.has_rest}
         return Answer((*labels, self._done()), self._done(request), for_each=in_sight)
 
     def _done(self, request: Request | None = None) -> str:
         number = {} if request is None else {"id": request.id}
-        rest = any(shown.has_rest for shown in self._shown.values())
+        rest = self._opened.session.is_dividing or any(shown.has_rest for shown in self._shown.values())
         return text_message("done", **number, **self._counts(), rest=rest)
 
     def _seen(self, request: Look | Rest, shown: Shown) -> str:
-        return text_message("seen", id=request.id, rest=shown.has_rest)
+        return text_message("seen", id=request.id, rest=shown.has_rest or self._opened.session.is_dividing)
 
     def _counts(self) -> dict[str, Any]:
         history, is_saved = self._history, self._is_saved
@@ -310,12 +329,19 @@ class Painting:
             self._history.paint(self._opened.session.strokes[-1])
 
     def _structures(self) -> str:
+        """What is known of the structures: their volumes too, unless these take long; then the rest ends with them."""
         session = self._opened.session
-        found, marked = session.volumes_ml(), session.marked_values()
+        marked = session.marked_values()
         names = {label.value: label.name for label in session.table}
+        volumes = {}
+        self._tells_volumes = not session.is_settled
+        if session.is_settled:
+            found = session.volumes_ml()
+            ml = {name: round(float(found[value]), 3) for value, name in names.items() if value != BACKGROUND}
+            volumes = {"volumes_ml": ml}
         return text_message(
             "structures",
-            volumes_ml={name: round(float(found[value]), 3) for value, name in names.items() if value != BACKGROUND},
+            **volumes,
             marked=[names[value] for value in sorted(marked) if value in names],
             locked=[names[value] for value in sorted(session.locked)],
             checklist=self._checklist(marked),

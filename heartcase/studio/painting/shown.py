@@ -86,11 +86,17 @@ class Shown:
         self._unsent = np.zeros_like(session.put_off_tiles)
         # what a tile holds is what the page has, unless its stamp is a later one
         self._sent = session.tile_stamps
+        self._seen_at = time.perf_counter()
 
     @property
     def has_rest(self) -> bool:
         """Whether labels may differ from what the page was sent, off the planes that it looks at."""
         return bool(self._unsent.any())
+
+    @property
+    def seconds_since_seen(self) -> float:
+        """Seconds since :meth:`in_sight` was asked last."""
+        return time.perf_counter() - self._seen_at
 
     def look(self, planes: tuple[Plane, ...]) -> None:
         """The page looks at these planes from now on."""
@@ -106,6 +112,7 @@ class Shown:
 
     def in_sight(self) -> tuple[bytes, ...]:
         """What the planes show of tiles in which labels are others than those that were sent."""
+        self._seen_at = time.perf_counter()
         if not self.has_rest:
             return ()
         session = self._session
@@ -145,7 +152,7 @@ class Shown:
                 self._sent[at] = stamps[at]
             if time.perf_counter() - start > _LONG_S:
                 break
-        return (boxes_message(fresh, session.labels_of_boxes(fresh)),) if fresh else ()
+        return (boxes_message(fresh, session.labels_so_far(fresh)),) if fresh else ()
 
 
 def _boxes_of(sight: Sight, tiles: Bool) -> list[Box]:

@@ -31,7 +31,13 @@ test("pieces of the rest are asked for one after the other, when labels have not
     await wait(40);
     assert.deepEqual(asked, []);
   }
-  await wait(100);
+  // a first look at the surface goes first
+  let yields = true;
+  seen.yields = () => yields;
+  await wait(200);
+  assert.deepEqual(asked, []);
+  yields = false;
+  await wait(20);
   assert.equal(asked[0], "rest");
   await wait(100);
   assert.deepEqual(asked, ["rest", "rest", "rest"]);

@@ -44,9 +44,9 @@ export class Structures {
     this.#update();
   }
 
-  /** @param {Record<string, number>} volumesMl @param {readonly string[] | undefined} marked @param {readonly string[]} locked */
+  /** @param {Record<string, number> | undefined} volumesMl where they are known already @param {readonly string[] | undefined} marked @param {readonly string[]} locked */
   tell(volumesMl, marked, locked) {
-    this.#volumes = volumesMl;
+    this.#volumes = volumesMl ?? this.#volumes;
     this.#locked = new Set(locked);
     // they are worked out anew
     this.#states = {};

@@ -9,6 +9,8 @@
 
 /** Pieces of the rest are asked for when no labels changed for so long: a stroke under way goes first [ms]. */
 const PAUSE_MS = 120;
+/** After what goes first is looked again whether it is done, so often [ms]. */
+const AGAIN_MS = 10;
 
 export class Seen {
   /** What the server was told last. */
@@ -18,6 +20,8 @@ export class Seen {
   #hasRest = false;
   #isFetching = false;
   #changedAt = -Infinity;
+  /** Whether something goes before the rest. @type {() => boolean} */
+  yields = () => false;
 
   /**
    * @param {Views} views
@@ -97,7 +101,7 @@ export class Seen {
   }
 
   async #take() {
-    const wait = this.#changedAt + PAUSE_MS - performance.now();
+    const wait = Math.max(this.#changedAt + PAUSE_MS - performance.now(), this.yields() ? AGAIN_MS : 0);
     if (wait > 0) {
       setTimeout(() => void this.#take(), wait);
       return;

@@ -19,6 +19,8 @@ export class Preview {
   /** Whether one is being made, or the fine one is due that follows a first look. */
   isBusy = new Signal(false);
   #isMaking = false;
+  /** Whether a first look is being made. */
+  isFirstLook = false;
   /** What is not in the surface, and why. */
   problems = new Signal(/** @type {readonly Problem[]} */ ([]));
   #isStale = false;
@@ -58,7 +60,7 @@ export class Preview {
     this.#isMaking = this.isBusy.value = true;
     try {
       while (this.#isStale && this.isOn.value) {
-        const coarse = this.#isCoarse;
+        const coarse = (this.isFirstLook = this.#isCoarse);
         this.#isStale = this.#isCoarse = false;
         const { problems } = await this.ask({ do: "preview", coarse });
         // what is wrong with ends and edits is told where they are looked at finely
@@ -73,7 +75,7 @@ export class Preview {
       this.isOn.value = false;
       this.onFault(error);
     } finally {
-      this.#isMaking = false;
+      this.#isMaking = this.isFirstLook = false;
       this.isBusy.value = this.#isStale && this.isOn.value;
     }
   }
