@@ -18,6 +18,8 @@ from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.formats.write_images import segmentation_nrrd_bytes
 from heartcase.schemas.bundle.check import check_bundle
 from heartcase.schemas.bundle.manifest import read_manifest
+from heartcase.schemas.bundle.reader import open_bundle
+from heartcase.schemas.errors import BundleError
 from tests.golden.make import CASE
 from tests.readers.damage import CaseCopy
 
@@ -258,6 +260,17 @@ def test_a_lost_file_hides_nothing_in_the_others(tmp_path: Path) -> None:
     said = [str(problem) for problem in check_bundle(case)]
     assert any("files.picking" in line and "is missing" in line for line in said)
     assert [name for name in names if not is_listed(name, said)] == []
+
+
+def test_a_file_that_was_cut_off_is_told_in_one_line_with_what_to_do(tmp_path: Path) -> None:
+    case = full_case(tmp_path)
+    grid = next(case.glob("grid-*"))
+    grid.write_bytes(grid.read_bytes()[:-1000])
+    with pytest.raises(BundleError) as error:
+        open_bundle(case)
+    (said,) = map(str, error.value.problems)
+    assert said.startswith("files.grid: has ")
+    assert "copy the case again" in said
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.measures import elastic_energy_of, inverted_cells
+from heartcase.simulator.forces.cell_energies import energies_in_cells
+from heartcase.simulator.forces.cell_forces import cell_energies
 from heartcase.simulator.forces.reference import elastic_energy, spring_forces
 from heartcase.simulator.instruments.grab import nodes_in_reach
 from heartcase.simulator.lattice.model import DIRECTIONS, make_model
@@ -332,6 +334,20 @@ def test_elastic_energy_is_that_of_the_reference(model, seed):
     for law in (model.law, ForceLaw("springs", 0.4), ForceLaw("element", 0.3)):
         model = model.with_law(law)
         assert elastic_energy_of(model, displacement) == pytest.approx(elastic_energy(model, displacement), rel=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(random_models(), st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.3, 2.0]), st.booleans())
+def test_energies_in_cells_are_those_of_the_formulas(model, seed, size, is_masked):
+    # cells are turned through where displacements are large
+    displacement = random_field(model, seed, size)
+    cells = np.random.default_rng(seed).random(model.cell_count) < 0.5 if is_masked else None
+    laws = (("springs", 0.25, True), ("springs", 0.4, True), ("element", 0.3, True), ("element", 0.45, False))
+    for name, ratio, shares in laws:
+        model = model.with_law(ForceLaw(name, ratio, shares_strain=shares))
+        expected = cell_energies(model, displacement, cells)
+        found = energies_in_cells(model, displacement, cells)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max(initial=0.0))
 
 
 def test_missing_surface_is_named():

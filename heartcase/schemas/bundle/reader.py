@@ -285,7 +285,8 @@ def inspect_files(directory: Path, manifest: CaseManifest) -> tuple[OpenBundle, 
             )
         if entry.role in ARRAYS:
             headers[entry.role], found = read_layout(file, entry.role, stated(manifest, "format_version"))
-            problems += found
+            # what is missing of a file that was cut off follows from that
+            problems += found if size >= entry.size else []
             found = count_problems(entry.role, headers[entry.role], counts)
             misfits |= {problem.place for problem in found}
             problems += found

@@ -7,7 +7,7 @@ import numpy as np
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Bool, Float, Int8, Int32
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
-from heartcase.simulator.forces.cell_forces import cell_energies
+from heartcase.simulator.forces.cell_energies import energies_in_cells
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
 __all__ = ["elastic_energy_of", "inverted_cells"]
@@ -28,7 +28,7 @@ def elastic_energy_of(model: LatticeModel, displacement: Float) -> float:
         cells = np.zeros(model.cell_count, dtype=np.bool_)
         if model.law.has_corner_guard:
             _mark_flat(model.cell_corners, moved, model.law.corner_floor, cells)
-    return float(lattice + explicit + cell_energies(model, moved, cells).sum())
+    return float(lattice + explicit + energies_in_cells(model, moved, cells).sum())
 
 
 def inverted_cells(model: LatticeModel, displacement: Float) -> Bool:
