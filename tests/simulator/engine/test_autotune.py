@@ -100,3 +100,42 @@ def test_a_slow_start_or_trial_is_not_held_against_a_way(disturbed):
     shop.way = way
     shop.run(100)
     assert shop.autotuner.quickest == 1
+
+
+@pytest.mark.parametrize("step_count", [40, 146])
+def test_a_way_that_was_disturbed_while_it_was_in_use_is_taken_again_soon(step_count):
+    shop = Workshop(2.0, 1.0)
+    for _ in range(5):
+        shop.run(step_count)
+    undisturbed = shop.way
+
+    def way(number: int):
+        def take(count: int) -> None:
+            shop.now += 1000.0 if number == 1 else 0.0
+            undisturbed(number)(count)
+
+        return take
+
+    shop.way = way
+    shop.run(step_count)
+    assert shop.autotuner.quickest == 0
+    shop.way, before = undisturbed, shop.taken[0]
+    for _ in range(3):
+        shop.run(step_count)
+    assert shop.autotuner.quickest == 1
+    assert shop.taken[0] - before <= 2 * step_count
+
+
+def test_a_row_of_few_steps_says_nothing_of_the_way_in_use():
+    """An act between two frames leaves a row of a step or two, which mostly wakes the threads."""
+    shop = Workshop(2.0, 1.0)
+    for _ in range(5):
+        shop.run(100)
+    shop.seconds_per_step[1] = 100.0
+    shop.run(TRIAL_STEPS - 1)
+    shop.seconds_per_step[1] = 1.0
+    before = shop.taken[0]
+    for _ in range(5):
+        shop.run(100)
+    # it is tried now and then
+    assert shop.taken[0] - before <= TRIALS * TRIAL_STEPS

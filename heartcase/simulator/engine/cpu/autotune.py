@@ -82,9 +82,12 @@ class Autotuner:
         if step_count:
             number = self.quickest
             taken = self._take(step_count, ways[number])
-            # As long as a way has not been tried to the end it has no time of its own.
-            if self.seconds_per_step[number] < inf:
+            # As long as a way has not been tried to the end it has no time of its own; few steps mostly wake threads.
+            if self.seconds_per_step[number] < inf and step_count >= TRIAL_STEPS:
                 self.seconds_per_step[number] = taken
+            if self.quickest != number:
+                # It may only have been disturbed: it is tried again with the next round.
+                self.trials.setdefault(number, [])
         self.round_count += 1
 
     @property
