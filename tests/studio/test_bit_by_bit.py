@@ -195,18 +195,17 @@ def test_a_flat_that_is_divided_bit_by_bit_is_told_in_the_end(tmp_path, monkeypa
     middle = [0.5 * n * s for n, s in zip(SHAPE[::-1], SPACING, strict=True)]
     with studio(path) as browser, page(browser) as talker:
         talker.ask(do="look", planes=[{"point_mm": middle, "normal": [0, 0, 1]}])
-        session = browser.opened.places["socket"]._painting._opened.session
         divided, aorta = 0, TABLE.find("aorta").value
         for label, share in (("aorta", 0.3), ("background", 0.7)):
             assert talker.ask(do="paint", label=label, radius_mm=2.0, points_mm=[[share * m for m in middle]])["rest"]
             talker.ask(do="end")
             # volumes are told when they are known
             assert "volumes_ml" not in [one for one in talker.told if one["kind"] == "structures"][-1]
-            while talker.ask(do="rest")["rest"]:
-                divided += session.is_dividing
+            while (answer := talker.ask(do="rest"))["rest"]:
+                divided += answer["dividing"]
             exact = shown_from_scratch(path)
             np.testing.assert_array_equal(talker.labels, exact)
-            (*_, told) = (one for one in talker.told if one["kind"] == "structures")
+            (*_, told) = (one for one in talker.told if one["kind"] == "volumes")
             ml = (exact == aorta).sum() * np.prod(SPACING) / 1000.0
             assert told["volumes_ml"]["aorta"] == pytest.approx(ml, abs=1e-3)
         assert divided > 2

@@ -143,6 +143,7 @@ function run() {
       shaping.tell(/** @type {any} */ (message));
       preview.refresh();
     }
+    else if (message.kind === "volumes") structures.tellVolumes(message.volumes_ml ?? {});
     else if (message.kind === "states") {
       structures.tellStates(message.states ?? {});
       guide.tellStates(message.states ?? {});
@@ -152,8 +153,12 @@ function run() {
       studio.undoKind.value = message.undo_kind;
       studio.redoKind.value = message.redo_kind;
       studio.saved.value = message.saved;
+      studio.spreads.value = message.dividing === true;
       seen.tell(message.rest === true, true);
-    } else if (message.kind === "seen") seen.tell(message.rest === true);
+    } else if (message.kind === "seen") {
+      studio.spreads.value = message.dividing === true;
+      seen.tell(message.rest === true);
+    }
     else if (message.kind === "failed") {
       connection.end();
       studio.ready.value = false;

@@ -221,8 +221,11 @@ class Painting:
             # what is between is for the eye alone
             if not session.is_dividing or shown.seconds_since_seen > _SHOWN_EVERY_S:
                 messages = shown.in_sight()
-        for_all = (self._structures(),) if self._tells_volumes and session.is_settled else ()
-        return Answer(for_all, self._seen(request, shown), for_each={page: messages})
+        told: tuple[str, ...] = ()
+        if self._tells_volumes and session.is_settled:
+            self._tells_volumes = False
+            told = (text_message("volumes", volumes_ml=self._volumes_ml()),)
+        return Answer(told, self._seen(request, shown), for_each={page: messages})
 
     @property
     def is_outdated(self) -> bool:
@@ -301,11 +304,13 @@ class Painting:
 
     def _done(self, request: Request | None = None) -> str:
         number = {} if request is None else {"id": request.id}
-        rest = self._opened.session.is_dividing or any(shown.has_rest for shown in self._shown.values())
-        return text_message("done", **number, **self._counts(), rest=rest)
+        is_dividing = self._opened.session.is_dividing
+        rest = is_dividing or any(shown.has_rest for shown in self._shown.values())
+        return text_message("done", **number, **self._counts(), rest=rest, dividing=is_dividing)
 
     def _seen(self, request: Look | Rest, shown: Shown) -> str:
-        return text_message("seen", id=request.id, rest=shown.has_rest or self._opened.session.is_dividing)
+        is_dividing = self._opened.session.is_dividing
+        return text_message("seen", id=request.id, rest=shown.has_rest or is_dividing, dividing=is_dividing)
 
     def _counts(self) -> dict[str, Any]:
         history, is_saved = self._history, self._is_saved
@@ -333,19 +338,19 @@ class Painting:
         session = self._opened.session
         marked = session.marked_values()
         names = {label.value: label.name for label in session.table}
-        volumes = {}
         self._tells_volumes = not session.is_settled
-        if session.is_settled:
-            found = session.volumes_ml()
-            ml = {name: round(float(found[value]), 3) for value, name in names.items() if value != BACKGROUND}
-            volumes = {"volumes_ml": ml}
         return text_message(
             "structures",
-            **volumes,
+            **({"volumes_ml": self._volumes_ml()} if session.is_settled else {}),
             marked=[names[value] for value in sorted(marked) if value in names],
             locked=[names[value] for value in sorted(session.locked)],
             checklist=self._checklist(marked),
         )
+
+    def _volumes_ml(self) -> dict[str, float]:
+        session = self._opened.session
+        found = session.volumes_ml()
+        return {one.name: round(float(found[one.value]), 3) for one in session.table if one.value != BACKGROUND}
 
     def _checklist(self, marked: Collection[int]) -> list[dict[str, Any]]:
         """What a model still needs, in the order in which it is best painted."""

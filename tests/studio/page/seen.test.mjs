@@ -16,7 +16,7 @@ test("pieces of the rest are asked for one after the other, when labels have not
     left -= 1;
     return Promise.resolve({ rest: left > 0 });
   };
-  const studio = { crosshair: new Signal([0, 0, 0]), planes: new Signal(null), ready: new Signal(true) };
+  const studio = { crosshair: new Signal([0, 0, 0]), planes: new Signal(null), ready: new Signal(true), spreads: new Signal(false) };
   const seen = new Seen({ all: [], waits: false }, studio, ask, (error) => assert.fail(error), (callback) => callback());
   const wait = async (ms) => {
     for (let n = 0; n < ms; n += 10) {

@@ -29,7 +29,7 @@ export class Status {
       compiling: find("curtain-compiling"),
     };
     find("notice-close").addEventListener("click", () => this.clear());
-    for (const signal of [connection.state, connection.changing, studio.ready, studio.saved, language]) {
+    for (const signal of [connection.state, connection.changing, studio.ready, studio.saved, studio.spreads, language]) {
       /** @type {import("../shared/signal.js").Signal<any>} */ (signal).follow(() => this.#tellState());
     }
     studio.hover.follow(() => this.#tellPointer());
@@ -79,7 +79,7 @@ export class Status {
     const isLost = state === "lost" || state === "stranger";
     tellLost(state, isLost ? say(state) : "");
     const isSaved = studio.ready.value && studio.saved.value && connection.changing.value === 0;
-    saved.textContent = isLost ? say("state_lost") : !studio.ready.value ? say("state_opening") : isSaved ? say("saved") : say("saving");
+    saved.textContent = isLost ? say("state_lost") : !studio.ready.value ? say("state_opening") : !isSaved ? say("saving") : studio.spreads.value ? say("spreading") : say("saved");
     saved.dataset.state = isLost ? "lost" : isSaved ? "saved" : "saving";
   }
 

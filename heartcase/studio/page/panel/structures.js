@@ -12,7 +12,7 @@ import { keyOf } from "../tools/shortcuts.js";
 const SIGNS = { nothing: "○", marked: "·", confident: "✓", unsure: "?" };
 
 export class Structures {
-  /** @type {Record<string, number>} */
+  /** Null while they are counted. @type {Record<string, number> | null} */
   #volumes = {};
   /** Names of those that are marked; null while the server has not said. @type {ReadonlySet<string> | null} */
   #marked = null;
@@ -44,9 +44,15 @@ export class Structures {
     this.#update();
   }
 
+  /** @param {Record<string, number>} volumesMl */
+  tellVolumes(volumesMl) {
+    this.#volumes = volumesMl;
+    this.#update();
+  }
+
   /** @param {Record<string, number> | undefined} volumesMl where they are known already @param {readonly string[] | undefined} marked @param {readonly string[]} locked */
   tell(volumesMl, marked, locked) {
-    this.#volumes = volumesMl ?? this.#volumes;
+    this.#volumes = volumesMl ?? null;
     this.#locked = new Set(locked);
     // they are worked out anew
     this.#states = {};
@@ -103,15 +109,16 @@ export class Structures {
       const value = Number(row.dataset.value);
       const label = labels.value.find((one) => one.value === value);
       if (!label) continue;
-      const volume = this.#volumes[label.name];
+      const volume = this.#volumes?.[label.name];
       // Before the server says what is marked, what has a volume must be.
       const isMarked = this.#marked ? this.#marked.has(label.name) : (volume ?? 0) > 0;
       const isPicked = picked.value === value;
       row.classList.toggle("picked", isPicked);
       part(row, ".pick").setAttribute("aria-pressed", String(isPicked));
       part(row, ".show").setAttribute("aria-pressed", String(!hidden.value.has(value)));
-      const isTold = isBounded && volume !== undefined && label.role !== "background" && isMarked;
-      part(row, ".volume").textContent = isTold ? `${figure(volume, volume < 10 ? 2 : 1)} ml` : "";
+      const hasVolume = isBounded && label.role !== "background" && isMarked;
+      const text = this.#volumes === null ? "…" : volume === undefined ? "" : `${figure(volume, volume < 10 ? 2 : 1)} ml`;
+      part(row, ".volume").textContent = hasVolume ? text : "";
       part(row, ".lock").setAttribute("aria-pressed", String(this.#locked.has(label.name)));
       const state = !isMarked ? "nothing" : (this.#states[label.name] ?? "marked");
       const mark = part(row, ".mark");

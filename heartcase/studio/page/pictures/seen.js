@@ -96,8 +96,10 @@ export class Seen {
   #fetch() {
     if (this.#isFetching) return;
     this.#isFetching = true;
-    // pictures first
-    this.nextFrame(() => setTimeout(() => void this.#take(), 0));
+    const take = () => setTimeout(() => void this.#take(), 0);
+    // pictures first; most pieces of labels that spread change none
+    if (this.studio.spreads.value) take();
+    else this.nextFrame(take);
   }
 
   async #take() {

@@ -33,6 +33,8 @@ export class Studio {
   redoKind = new Signal("strokes");
   /** Whether the recipe's file holds all that was painted. */
   saved = new Signal(true);
+  /** Whether labels still spread: those far from the last stroke are of before. */
+  spreads = new Signal(false);
 
   tool = new Signal(/** @type {Tool} */ ("brush"));
   /** The tool before this one: what the space bar goes back to. @type {Tool} */

@@ -25,6 +25,7 @@ export const words = {
   state_lost: "Nicht verbunden",
   state_opening: "Wird geöffnet …",
   saved: "Alles gespeichert",
+  spreading: "Alles gespeichert. Label breiten sich noch aus: weitermalen oder rückgängig machen geht",
   saving: "Wird gespeichert …",
   refused: "Das wurde nicht ausgeführt:",
   failed: "Das Rezept lässt sich nicht öffnen:",

@@ -24,6 +24,7 @@ export const words = {
   state_lost: "Not connected",
   state_opening: "Opening …",
   saved: "All saved",
+  spreading: "All saved. Labels are still spreading: you can go on, or undo",
   saving: "Saving …",
   refused: "This was not done:",
   failed: "The recipe cannot be opened:",
