@@ -57,10 +57,10 @@ class EndRow:
     """Where it is."""
     direction: str
     """Where it leads, in letters and numbers."""
-    radius_mm: float | None
-    """Radius of the disc; None where nothing is cut."""
-    lumen_radius_mm: float
-    """Radius of a circle of the lumen's area."""
+    diameter_mm: float | None
+    """Diameter of the disc; None where nothing is cut."""
+    lumen_diameter_mm: float
+    """Diameter of a circle of the lumen's area."""
     words: str
     """How it came about."""
     is_doubtful: bool
@@ -103,8 +103,8 @@ def ends_part(scan: Scan, structures: Structures) -> EndsPart | None:
             table[end.label].colour,
             placed(end.position_mm),
             f"{direction_letters(end.axis)} ({', '.join(f'{v:.2f}' for v in end.axis)})",
-            None if end.is_open else end.radius_mm,
-            end.lumen_radius_mm,
+            None if end.is_open else 2.0 * end.radius_mm,
+            2.0 * end.lumen_radius_mm,
             _OPEN_WORDS if end.is_open else _WORDS[end.found],
             end.found != "stated" and not end.is_open,
         )

@@ -234,12 +234,12 @@ def coronal_plane(vertices_mm: npt.ArrayLike, triangles: npt.ArrayLike) -> tuple
 
 
 def direction_letters(direction: npt.ArrayLike, *, smallest: float = 0.35) -> str:
-    """Name a direction in LPS by letters, the strongest first: ``A``, ``PL``, ``LAS``.
+    """Name a direction in LPS by the letters of DICOM, the strongest first: ``A``, ``PL``, ``LAH``.
 
     Parts of the unit direction below ``smallest`` (about 20 degrees) are left out.
     """
     unit = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    parts = [(abs(u), "LPS"[axis] if u > 0 else "RAI"[axis]) for axis, u in enumerate(unit) if abs(u) >= smallest]
+    parts = [(abs(u), "LPH"[axis] if u > 0 else "RAF"[axis]) for axis, u in enumerate(unit) if abs(u) >= smallest]
     return "".join(letter for _, letter in sorted(parts, key=lambda part: -part[0]))
 
 

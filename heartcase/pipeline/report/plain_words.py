@@ -191,8 +191,10 @@ def cardiac_phase_words(acquisition: Mapping[str, Any]) -> str:
 
 
 def placed(point: Sequence[float]) -> str:
-    """A point as text, with its unit."""
-    return f"({', '.join(f'{v:.1f}' for v in point)}) mm"
+    """A point as text, with its unit: distances to left or right, front or back, head or foot, as the studio says."""
+    letters = (("L", "R"), ("P", "A"), ("H", "F"))
+    parts = (f"{pair[v < 0.0]} {abs(v):.1f}" for v, pair in zip(point, letters, strict=True))
+    return f"{' '.join(parts)} mm"
 
 
 def _rank(item: tuple[str, Any]) -> tuple[int, str]:

@@ -30,6 +30,7 @@ __all__ = [
     "Stack",
     "display_window",
     "grey_panel",
+    "slice_number",
     "slice_pictures",
     "slice_position",
     "slice_view",
@@ -125,10 +126,18 @@ def slice_view(geometry: Geometry, stack: Stack) -> SliceView:
     return SliceView(through, across, down, flip_across, flip_down, letters)
 
 
+def slice_number(geometry: Geometry, stack: Stack, number: int) -> int:
+    """Number of a slice, given by its index, as the studio counts: from 1, to the head, the front and the left."""
+    axis = slice_view(geometry, stack).through
+    world, forward = {"axial": (2, 1.0), "coronal": (1, -1.0), "sagittal": (0, 1.0)}[stack]
+    is_forward = forward * geometry.direction_matrix[world, axis] > 0.0
+    return number + 1 if is_forward else geometry.size[axis] - number
+
+
 def slice_position(geometry: Geometry, stack: Stack, number: int) -> str:
     """Where a slice lies, as scanners write it: the distance of its plane from the scanner's zero, and to which side.
 
-    ``S 34.5 mm`` is 34.5 mm towards the head. In an oblique stack the letters name the slices' normal, strongest
+    ``H 34.5 mm`` is 34.5 mm towards the head. In an oblique stack the letters name the slices' normal, strongest
     first, and the distance is along that normal.
     """
     axis = slice_view(geometry, stack).through
@@ -269,7 +278,9 @@ def _row(
         shown = box[view.through][0] + number
         _write_directions(draw, corners[place], size, view)
         _draw_scale(draw, corners[place], size, wide)
-        words = f"{stack} {shown + 1} of {geometry.size[view.through]}, at {slice_position(geometry, stack, shown)}"
+        count = geometry.size[view.through]
+        place = slice_number(geometry, stack, shown)
+        words = f"{stack} {place} of {count}, at {slice_position(geometry, stack, shown)}"
         draw.text(((place + 0.5) * cell, _CAPTION - 6), words, fill=INK, font=font, anchor="ms")
     if footnote:
         draw.text((0.005 * width, sheet.shape[0] - 4), footnote, fill=INK, font=font, anchor="ld")

@@ -106,7 +106,7 @@ def test_the_page_says_what_it_is_not_and_lists_the_places(heart):
     assert "How sure are the outlines?" in text
     assert "It is no probability." in text
     table = heart.segmentation.table
-    assert f"(12.5, -7.2, 30.0) mm {table[1].name} {table[5].name} 3.25 4.5" in text
+    assert f"L 12.5 A 7.2 H 30.0 mm {table[1].name} {table[5].name} 3.25 4.5" in text
     assert "worth about 0.25 ml" in text
     for colour in COLOURS:
         assert f"background:{colour}" in html

@@ -40,8 +40,8 @@ def test_each_end_has_a_row_and_each_that_is_cut_two_pictures_of_the_scan():
     cut, opened = by_vessel["superior vena cava"], by_vessel["aorta"]
     assert cut.words == "cut where the program found the end"
     assert cut.is_doubtful
-    assert cut.radius_mm > 5.0
-    assert opened.radius_mm is None
+    assert cut.diameter_mm > 10.0
+    assert opened.diameter_mm is None
     assert "open at the face" in opened.words
     assert not opened.is_doubtful
     (picture,) = part.pictures

@@ -193,7 +193,7 @@ def test_what_a_warning_lists_is_a_list_on_the_page_in_its_order():
 
 
 def test_grown_walls_are_told_apart_from_openings_that_are_stated():
-    septum = SeptumRow("left atrium and right atrium", 120.0, 1.2, 1, "(1.0, 2.0, 3.0) mm")
+    septum = SeptumRow("left atrium and right atrium", 120.0, 1.2, 1, "L 1.0 P 2.0 H 3.0 mm")
     text = re.sub(r"\s+", " ", Page(render_report(ReportData(case_name="x", septa=[septum]))).text)
     assert "Where the recipe states an opening by a landmark, by strokes or by an open place" in text
     assert "it is closed in the model" not in text
@@ -249,7 +249,7 @@ def test_hand_work_times_and_provenance_are_stated(html):
     text = re.sub(r"\s+", " ", Page(html).text)
     assert "Painted: left ventricle 2 strokes, 35 mm in all" in text
     assert "Marker files 1" in text
-    assert "septal defect of 8 mm made at (5.0, -15.0, -10.0) mm" in text
+    assert "septal defect of 8 mm made at L 5.0 A 15.0 F 10.0 mm" in text
     assert "ball of 6 mm radius" in text
     assert "6.25" in text
     assert "iterations = 5" in text
@@ -421,7 +421,7 @@ def test_figures_are_put_in_words_with_units():
     assert words["Cells added to stop leaks"] == "3"
     assert words["Is closed"] == "yes"
     assert words["Unheard of"] == "not known"
-    assert words["Where, in LPS: tissue"] == ", ".join(["(1.2, 2.0, -3.0) mm"] * 5) + " and 2 more"
+    assert words["Where, in LPS: tissue"] == ", ".join(["L 1.2 P 2.0 F 3.0 mm"] * 5) + " and 2 more"
     assert words["Where, in LPS: blood"] == "none"
 
 

@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from heartcase.pipeline.report.slices import display_window, slice_pictures, slice_position, slice_view
+from heartcase.pipeline.report.slices import (
+    STACKS,
+    display_window,
+    slice_number,
+    slice_pictures,
+    slice_position,
+    slice_view,
+)
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import default_label_table
 
@@ -19,10 +26,10 @@ SIGNED_AXES = [
 ]
 STRAIGHT = {
     "axial": {"left": "R", "right": "L", "top": "A", "bottom": "P"},
-    "coronal": {"left": "R", "right": "L", "top": "S", "bottom": "I"},
-    "sagittal": {"left": "A", "right": "P", "top": "S", "bottom": "I"},
+    "coronal": {"left": "R", "right": "L", "top": "H", "bottom": "F"},
+    "sagittal": {"left": "A", "right": "P", "top": "H", "bottom": "F"},
 }
-LETTER_DIRECTIONS = {"L": (1, 0, 0), "R": (-1, 0, 0), "P": (0, 1, 0), "A": (0, -1, 0), "S": (0, 0, 1), "I": (0, 0, -1)}
+LETTER_DIRECTIONS = {"L": (1, 0, 0), "R": (-1, 0, 0), "P": (0, 1, 0), "A": (0, -1, 0), "H": (0, 0, 1), "F": (0, 0, -1)}
 
 
 @pytest.mark.parametrize("direction", SIGNED_AXES[::3])
@@ -103,16 +110,16 @@ def test_what_is_marked_on_the_patients_left_is_on_the_right_of_axial_and_corona
 
 def test_slice_positions_are_told_as_scanners_do():
     geometry = Geometry.of(shape=(10, 12, 14), spacing_mm=(1.5, 1.5, 4.0), origin_mm=(-9.0, 3.0, -20.0))
-    assert slice_position(geometry, "axial", 0) == "I 20.0 mm"
-    assert slice_position(geometry, "axial", 9) == "S 16.0 mm"
+    assert slice_position(geometry, "axial", 0) == "F 20.0 mm"
+    assert slice_position(geometry, "axial", 9) == "H 16.0 mm"
     assert slice_position(geometry, "coronal", 2) == "P 6.0 mm"
     assert slice_position(geometry, "sagittal", 0) == "R 9.0 mm"
     flipped = Geometry.of(shape=(10, 12, 14), spacing_mm=(1.5, 1.5, 4.0), direction=np.diag([1.0, 1.0, -1.0]))
-    assert slice_position(flipped, "axial", 3) == "I 12.0 mm"
+    assert slice_position(flipped, "axial", 3) == "F 12.0 mm"
     turned = Rotation.from_euler("x", 40.0, degrees=True).as_matrix()
     oblique = Geometry.of(shape=(9, 9, 9), origin_mm=(5.0, 6.0, 7.0), direction=turned)
     along = np.array([5.0, 6.0, 7.0]) @ turned[:, 2] + 4.0
-    assert slice_position(oblique, "axial", 4) == f"SA {along:.1f} mm"
+    assert slice_position(oblique, "axial", 4) == f"HA {along:.1f} mm"
 
 
 @pytest.mark.parametrize(("spacing", "shape"), [((0.7, 0.7, 8.0), (8, 120, 90)), ((3.0, 0.5, 1.1), (60, 130, 20))])
@@ -200,3 +207,11 @@ def test_window_of_ct_leaves_the_air_black():
     assert display_window(volume, modality="CT") == (-250.0, 400.0)
     assert display_window(volume)[0] == -1000.0
     assert display_window(np.full((4, 4, 4), 7.0)) == (7.0, 8.0)
+
+
+def test_slices_are_counted_as_the_studio_counts_them():
+    """From 1 to the head, the front and the left, whichever way the volume's axes run."""
+    geometry = Geometry.of(shape=(10, 8, 6), spacing_mm=(3.0, 2.0, 4.0))
+    assert [slice_number(geometry, stack, 0) for stack in STACKS] == [1, 8, 1]
+    turned = Geometry.of(shape=(10, 8, 6), spacing_mm=(3.0, 2.0, 4.0), direction=np.diag([-1.0, -1.0, 1.0]))
+    assert [slice_number(turned, stack, 2) for stack in STACKS] == [3, 3, 4]
