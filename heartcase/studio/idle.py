@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 
 __all__ = ["FREE_AFTER_S", "Idle"]
 
-FREE_AFTER_S = 300.0
+FREE_AFTER_S = 1800.0
 """How long something that no page has open stays in memory, s: a page that is loaded again finds it as it was."""
 
 

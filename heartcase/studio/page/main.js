@@ -76,7 +76,7 @@ function run() {
     status.clear();
     connection.ask({ do: "lock", label, locked }).catch((error) => fault(error));
   });
-  const parts = { place: find("place"), right: find("place-right"), checklist: find("checklist") };
+  const parts = { place: find("place"), right: find("place-right"), checklist: find("checklist"), heading: find("checklist-heading") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
 
   const askStep = (/** @type {{do: "undo" | "redo"}} */ request) => {
@@ -135,7 +135,8 @@ function run() {
     else if (message.kind === "structures") {
       preview.refresh();
       shapePanel.tellLumens();
-      structures.tell(message.volumes_ml, message.marked, message.locked ?? []);
+      const isComplete = (message.checklist ?? []).every((/** @type {{key: string, done: boolean}} */ one) => one.done || one.key === "ends");
+      structures.tell(message.volumes_ml, message.marked, message.locked ?? [], isComplete);
       guide.forget();
       guide.tell(message.checklist ?? [], message.marked ?? []);
     } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);

@@ -226,7 +226,11 @@ function run() {
   let stretchShown = [1, 1];
   let lettingGo = -1;
   const actions = {
-    undo: () => (forget(), ask({ do: "undo" })),
+    undo: () => {
+      forget();
+      notice("", [{ place: "", message: say("operate_undone") }]);
+      ask({ do: "undo" });
+    },
     redo: () => (forget(), ask({ do: "redo" })),
     back: () => (forget(), ask({ do: "back" })),
     play: () => (forget(), ask({ do: "play", speed: beside.speed })),

@@ -29,8 +29,8 @@ export function sidesOf(direction) {
     .map((axis) => WAYS[axis][direction[axis] > 0 ? 0 : 1]);
 }
 
-/** @param {Vector} direction */
-export const lettersOf = (direction) => sidesOf(direction).map((side) => LETTERS[side]).join("");
+/** With a dot between two, as RA beside a heart is its right atrium. @param {Vector} direction */
+export const lettersOf = (direction) => sidesOf(direction).map((side) => LETTERS[side]).join("·");
 
 /**
  * Draw them anew; with what more can be drawn.

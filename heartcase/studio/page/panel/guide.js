@@ -43,7 +43,7 @@ export class Guide {
    * @param {Studio} studio
    * @param {Views} views
    * @param {(request: Record<string, unknown> & {do: string}) => Promise<Record<string, any>>} ask
-   * @param {{place: HTMLElement, right: HTMLElement, checklist: HTMLElement}} parts
+   * @param {{place: HTMLElement, right: HTMLElement, checklist: HTMLElement, heading: HTMLElement}} parts
    * @param {(error: unknown) => void} onFault
    */
   constructor(studio, views, ask, parts, onFault) {
@@ -187,6 +187,8 @@ export class Guide {
       defects.append(sign, element("span", "words", say("item_defects")));
       rows.push(defects);
     }
+    const isDone = this.#items.length > 0 && this.#items.every(({ done }) => done);
+    this.parts.heading.textContent = say(isDone ? "checklist_done" : "checklist");
     this.parts.checklist.replaceChildren(...rows);
   }
 }

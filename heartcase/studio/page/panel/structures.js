@@ -18,6 +18,8 @@ export class Structures {
   #marked = null;
   /** @type {ReadonlySet<string>} */
   #locked = new Set();
+  /** Whether a structure can be right: while others are missing it may hold them. */
+  #isComplete = true;
   /** As they were worked out last. @type {Record<string, State>} */
   #states = {};
 
@@ -50,8 +52,9 @@ export class Structures {
     this.#update();
   }
 
-  /** @param {Record<string, number> | undefined} volumesMl where they are known already @param {readonly string[] | undefined} marked @param {readonly string[]} locked */
-  tell(volumesMl, marked, locked) {
+  /** @param {Record<string, number> | undefined} volumesMl where they are known already @param {readonly string[] | undefined} marked @param {readonly string[]} locked @param {boolean} [isComplete] whether all that a heart has is marked */
+  tell(volumesMl, marked, locked, isComplete = true) {
+    this.#isComplete = isComplete;
     this.#volumes = volumesMl ?? null;
     this.#locked = new Set(locked);
     // they are worked out anew
@@ -123,8 +126,9 @@ export class Structures {
       const state = !isMarked ? "nothing" : (this.#states[label.name] ?? "marked");
       const mark = part(row, ".mark");
       const words = say(`state_${state}`);
-      if (mark.dataset.state === state && mark.title === words) continue;
-      const sign = element("span", "", SIGNS[state]);
+      const shown = SIGNS[state === "confident" && !this.#isComplete ? "marked" : state];
+      if (mark.dataset.state === state && mark.title === words && mark.lastElementChild?.textContent === shown) continue;
+      const sign = element("span", "", shown);
       sign.setAttribute("aria-hidden", "true");
       mark.replaceChildren(element("span", "hidden-words", words), sign);
       mark.dataset.state = state;

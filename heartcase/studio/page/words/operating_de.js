@@ -36,6 +36,7 @@ export const operating = {
   plans_choose: "{name} zum Vergleich wählen",
   operate_holding: "Wird geöffnet …",
   operate_patched: "Der Patch ist angenäht: {count} Stiche, {area} mm².",
+  operate_undone: "Zurückgenommen und angehalten. Wiederholen holt es zurück, bis die Zeit weitergeht.",
   operate_tied: "Geknotete Stiche: {count}. Der Faden zieht mit höchstens {force} N.",
   recording_opening: "Die Aufnahme {name} wird geöffnet …",
   save_page: "Als Webseite speichern",

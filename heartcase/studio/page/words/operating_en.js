@@ -36,6 +36,7 @@ export const operating = {
   plans_choose: "Choose {name} to compare it",
   operate_holding: "Opening …",
   operate_patched: "The patch is sewn on: {count} stitches, {area} mm².",
+  operate_undone: "Taken back, and paused. Redo brings it back, until time goes on.",
   operate_tied: "Tied stitches: {count}. The thread pulls with {force} N at most.",
   recording_opening: "Opening the recording {name} …",
   save_page: "Save as a web page",

@@ -4,8 +4,8 @@
 export const words = {
   place_right: "Es stimmt (R)",
   help_right: "Die gezeigte Stelle stimmt: weiter zur nächsten",
-  end_lumen: "Lumen {lumen} mm, Scheibe {disc}",
-  end_narrow: "Lumen über {lumen} mm: Scheibe ({disc}) zu eng",
+  end_lumen: "Lumen ⌀ {lumen} mm, Scheibe ⌀ {disc}",
+  end_narrow: "Lumen ⌀ über {lumen} mm: Scheibe (⌀ {disc}) zu eng",
   end_beside: "nicht im Gefäß, Scheibe {disc} mm",
   end_disc: "Scheibe {disc} mm",
   start_name: "Name des Falls",

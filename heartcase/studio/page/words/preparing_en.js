@@ -3,8 +3,8 @@
 export const words = {
   place_right: "It is right (R)",
   help_right: "The place that is shown is right: on to the next one",
-  end_lumen: "lumen {lumen} mm, disc {disc}",
-  end_narrow: "lumen over {lumen} mm: the disc ({disc}) is too narrow",
+  end_lumen: "lumen ⌀ {lumen} mm, disc ⌀ {disc}",
+  end_narrow: "lumen ⌀ over {lumen} mm: the disc (⌀ {disc}) is too narrow",
   end_beside: "not in the vessel, disc {disc} mm",
   end_disc: "disc {disc} mm",
   start_name: "Name of the case",
