@@ -182,14 +182,14 @@ class SegmentationSession:
         self._forest.settle_boxes(boxes)
 
     def labels_of_boxes(self, boxes: Sequence[Box]) -> list[UInt8]:
-        """Labels in some boxes of slices [z, y, x], copies; what is put off elsewhere stays so.
+        """Labels in some boxes of slices [z, y, x], copies. Flats are divided for it; what else is put off stays so.
 
         Parameters
         ----------
         boxes
             Within the scan. A tile is not put off any more where one of them is all of it.
         """
-        self._forest.finish_dividing()
+        self._finish_dividing()
         self._forest.settle_boxes(boxes)
         return [self._forest.labels[box].copy() for box in boxes]
 
@@ -203,7 +203,8 @@ class SegmentationSession:
         return [self._forest.labels[box].copy() for box in boxes]
 
     def volumes_ml(self) -> Float64:
-        """Volume of each label value, ml, shape (256,), without working out what is put off."""
+        """Volume of each label value, ml, shape (256,). Flats are divided for it; labels that are put off stay so."""
+        self._finish_dividing()
         return self._forest.label_counts().astype(np.float64) * (self.geometry.voxel_volume_mm3 / 1000.0)
 
     def marked_values(self) -> frozenset[int]:
@@ -312,6 +313,7 @@ class SegmentationSession:
         It is the same array always, so what is read from it later is what holds then; or, after :meth:`put_off`, what
         held when this was asked last.
         """
+        self._finish_dividing()
         self._forest.settle()
         view = self._forest.labels.view()
         view.flags.writeable = False
@@ -404,6 +406,7 @@ class SegmentationSession:
         """The segmentation as it is now, copied: it can be looked at in another thread while painting goes on."""
         from heartcase.pipeline.markers.states import StillSegmentation
 
+        self._finish_dividing()
         return StillSegmentation(self._forest.copy(), self.geometry, self.table, self.right_places)
 
     @property
@@ -444,8 +447,15 @@ class SegmentationSession:
         from heartcase.pipeline.markers.suggest import suggest_strokes
 
         self._check_that_anything_is_marked()
+        self._finish_dividing()
         self._forest.settle()
         return suggest_strokes(self._forest, self.geometry, count=count, right=self.right_places)
+
+    def _finish_dividing(self) -> None:
+        """Divide flats to the end: labels change by that."""
+        if self._forest.is_dividing:
+            self._note(None)
+            self._forest.finish_dividing()
 
     def _check_that_anything_is_marked(self) -> None:
         if not self._forest.is_labelled:

@@ -304,7 +304,7 @@ class Forest:
         return bool((self.lowest_mark >= 0).any())
 
     def label_counts(self) -> Int64:
-        """Number of voxels of each label, int64, shape (256,); labels that were put off stay so."""
+        """Number of voxels of each label, int64, shape (256,); flats are divided for it, and labels stay put off."""
         self.finish_dividing()
         if self.is_settled:
             found: Int64 = count_values(self.labels.reshape(-1))
@@ -389,14 +389,14 @@ class Forest:
         return self._division is not None and self._division.is_busy
 
     def finish_dividing(self) -> None:
-        """Divide all contested flat minima to the end."""
+        """Divide all contested flat minima to the end; labels that change by that are put off."""
         while self.is_dividing:
-            self._divide(ALL)
+            self._divide(ALL, most_painted=-1)
 
     def fill(self) -> None:
         """Work out all marks, and the labels and levels of all feet, where they were put off: as :meth:`solve` does."""
         while self._division is not None and not self._division.is_done:
-            self._divide(ALL)
+            self._divide(ALL, most_painted=-1)
         self._fill_feet()
 
     def fill_some(self, most: int = FILLED_AT_ONCE) -> bool:

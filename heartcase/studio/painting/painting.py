@@ -252,6 +252,11 @@ class Painting:
             (directory / name).rename(ready)
             raise
 
+    @property
+    def is_dividing(self) -> bool:
+        """Whether labels still spread."""
+        return self._opened.session.is_dividing
+
     def still(self) -> StillSegmentation:
         """A copy of the segmentation, to be looked at while painting goes on."""
         return self._opened.session.still()
@@ -338,7 +343,7 @@ class Painting:
         session = self._opened.session
         marked = session.marked_values()
         names = {label.value: label.name for label in session.table}
-        self._tells_volumes = not session.is_settled
+        self._tells_volumes = self._tells_volumes or not session.is_settled
         return text_message(
             "structures",
             **({"volumes_ml": self._volumes_ml()} if session.is_settled else {}),

@@ -72,7 +72,9 @@ class _View:
 
 
 class Shown:
-    """What one page looks at, and what it has still to be sent. It has all labels of this moment, none of them put off.
+    """What one page looks at, and what it has still to be sent.
+
+    It has all labels of this moment, none of them put off, and no flat is being divided.
 
     Parameters
     ----------
@@ -91,6 +93,8 @@ class Shown:
     @property
     def has_rest(self) -> bool:
         """Whether labels may differ from what the page was sent, off the planes that it looks at."""
+        # somebody else may have had them worked out
+        self._unsent |= self._session.tile_stamps > self._sent
         return bool(self._unsent.any())
 
     @property
@@ -132,6 +136,8 @@ class Shown:
     def rest(self) -> tuple[bytes, ...]:
         """Some of what was not sent yet, the nearest to the planes first."""
         session = self._session
+        if not self.has_rest:
+            return ()
         tiles = np.argwhere(self._unsent)
         away = np.full(self._unsent.shape, np.inf)
         for view in self._views:

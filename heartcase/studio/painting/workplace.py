@@ -224,6 +224,10 @@ class Workplace:
     async def _copied(self) -> StillSegmentation | None:
         async with self._turn:
             painting = self._painting
+            if painting is not None and painting.is_dividing:
+                # a copy would hold up the next stroke until all is divided
+                self._states.later()
+                return None
             return None if painting is None else await self._run(painting.still)
 
     async def _run(self, work: Callable[[], T]) -> T:

@@ -64,7 +64,7 @@ def test_an_end_a_defect_and_a_wall_by_mouse_stand_in_the_recipe_and_are_taken_b
         np.testing.assert_allclose(end.position_mm, middle, atol=0.25)
         assert abs(end.radius_mm - 5.0) < 0.3
         # what is painted reaches beyond the disc on its axis, and that is said
-        assert f"the disc ({2.0 * end.radius_mm:.1f}) is too narrow" in page.text("[data-end='1']")
+        assert f"the disc (⌀ {2.0 * end.radius_mm:.1f}) is too narrow" in page.text("[data-end='1']")
         np.testing.assert_allclose(np.abs(end.axis), [1.0, 0.0, 0.0], atol=0.06)
         written = END.format(position=listed(end.position_mm), axis=listed(end.axis), radius=end.radius_mm)
         assert path.read_text() == painted_text.replace(head, head + written)

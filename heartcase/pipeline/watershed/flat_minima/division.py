@@ -228,7 +228,7 @@ class Division:
             return self._anew(number, painted, marks), _NOTHING
         self.flat_label[number] = CONTESTED
         self.counts[number] = count
-        return self._marked(number, label, marks), (seeds, np.full(len(seeds), UNMARKED, np.uint8))
+        return self._marked(number, label, painted, marks), (seeds, np.full(len(seeds), UNMARKED, np.uint8))
 
     def _go_on_dividing(
         self, number: int, count: Int64, stroke: Change, painted: UInt8, marks: UInt8, is_put_off: bool
@@ -247,7 +247,7 @@ class Division:
         self.whole.remove(number)
         seeds = self._painted_in(number, painted)
         label = int(np.flatnonzero(before)[0])
-        return self._marked(number, label, marks), (seeds, np.full(len(seeds), UNMARKED, np.uint8))
+        return self._marked(number, label, painted, marks), (seeds, np.full(len(seeds), UNMARKED, np.uint8))
 
     def _painted_in(self, number: int, painted: UInt8) -> Int64:
         """Flat indices of a flat's painted voxels, ascending."""
@@ -259,12 +259,13 @@ class Division:
             inside = every[self.tree.flat_of(every) == number]
         return inside
 
-    def _marked(self, number: int, label: int, marks: UInt8) -> Change:
+    def _marked(self, number: int, label: int, painted: UInt8, marks: UInt8) -> Change:
         """Mark a flat that has one label: what changes by that, and is not noted in :attr:`begun`."""
         if self._is_small(number):
             inside = self._voxels_of(number)
             self.distance[inside] = FAR
-            inside = inside[marks[inside] == UNMARKED]
+            # painted voxels get their own marks
+            inside = inside[(marks[inside] == UNMARKED) & (painted[inside] == UNMARKED)]
             return inside, np.full(len(inside), label, np.uint8)
         basins, *landscape = self._landscape(number)
         chunks = np.linspace(0, marks.size, CHUNKS + 1).astype(np.int64)

@@ -90,7 +90,7 @@ class Mending:
         """
         self._fed.append((voxels, before))
         self._waiting, self._withdrawn, *noted = feed(
-            voxels, painted, marks, self._distance, self._waiting, self._withdrawn
+            self._ways[0], voxels, painted, marks, self._distance, self._waiting, self._withdrawn
         )
         self._note(*noted)
         changed = voxels[(painted[voxels] != UNMARKED) & (painted[voxels] != marks[voxels])]

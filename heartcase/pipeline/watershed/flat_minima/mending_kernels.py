@@ -60,11 +60,15 @@ def _take(heap):
 
 
 @kernel
-def feed(voxels, painted, marks, distance, waiting, withdrawn):
+def feed(shape, voxels, painted, marks, distance, waiting, withdrawn):
     """Let painted voxels wait for their turn, and erased ones be withdrawn.
+
+    A painted voxel with its mark that has painted ones around it alone leads nowhere, and has not to wait.
 
     Returns the two heaps, and what there was before: voxels and distances in one number, and marks.
     """
+    per_slice, per_row = 1.0 / (shape[1] * shape[2]), 1.0 / shape[2]
+    near = np.empty((2, 6), np.int64)
     waiting, withdrawn = _with_room(waiting, len(voxels)), _with_room(withdrawn, len(voxels))
     noted = [np.int64(0) for _ in range(0)]
     noted_marks = [np.uint8(0) for _ in range(0)]
@@ -74,8 +78,14 @@ def feed(voxels, painted, marks, distance, waiting, withdrawn):
             noted.append((np.int64(distance[v]) << INDEX_BITS) | v)
             noted_marks.append(marks[v])
         if painted[v] != UNMARKED:
-            distance[v] = -1
-            _put(waiting, 1, v)
+            waits = painted[v] != marks[v]
+            for n in range(near_voxels(v, per_slice, per_row, shape, near)):
+                waits = waits or (distance[near[0, n]] != 0 and painted[near[0, n]] == UNMARKED)
+            if waits:
+                distance[v] = -1
+                _put(waiting, 1, v)
+            else:
+                distance[v] = 1
         elif distance[v] == 1:
             distance[v] = FAR
             _put(withdrawn, 1, v)
