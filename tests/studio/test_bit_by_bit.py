@@ -214,6 +214,17 @@ def test_a_flat_that_is_divided_bit_by_bit_is_told_in_the_end(tmp_path, monkeypa
             assert told["volumes_ml"]["aorta"] == pytest.approx(ml, abs=1e-3)
         assert divided > 2
         assert 0 < (exact == aorta).sum() < 0.9 * exact.size
+        # whoever comes meanwhile has all of it worked out, and the first page hears of that
+        answer = talker.ask(do="paint", label="aorta", radius_mm=2.0, points_mm=[[0.6 * m for m in middle]])
+        assert answer["dividing"]
+        talker.ask(do="end")
+        told = len(talker.told)
+        with page(browser) as other:
+            while talker.ask(do="rest")["rest"]:
+                pass
+            np.testing.assert_array_equal(talker.labels, other.labels)
+        np.testing.assert_array_equal(talker.labels, shown_from_scratch(path))
+        assert any(one["kind"] == "volumes" for one in talker.told[told:])
 
 
 def test_pages_that_look_elsewhere_and_one_that_says_nothing_end_alike(tmp_path, monkeypatch):

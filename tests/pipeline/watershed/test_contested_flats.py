@@ -80,12 +80,16 @@ def test_a_mended_forest_is_the_one_that_is_solved_anew(
                 differs = before != mended.labels
                 differs[box or ()] &= box is None
                 assert not differs.any()
+            if rng.random() < 0.5:
+                counts = np.bincount(anew.labels.ravel(), minlength=256)
+                np.testing.assert_array_equal(mended.label_counts(), counts)
+            copy = mended.copy() if rng.random() < 0.3 else None
             mended.settle()
-            np.testing.assert_array_equal(mended.label_counts(), np.bincount(anew.labels.ravel(), minlength=256))
             np.testing.assert_array_equal(mended.labels, anew.labels)
             mended.fill()
             np.testing.assert_array_equal(mended.marks, anew.marks)
             np.testing.assert_array_equal(mended.lowest_mark, anew.lowest_mark)
+            np.testing.assert_array_equal((copy or mended).marks, anew.marks)
             np.testing.assert_array_equal(mended.foot_label, anew.foot_label)
             np.testing.assert_array_equal(mended.foot_level, anew.foot_level)
             has_same_division(mended, anew)
@@ -178,14 +182,16 @@ def test_a_stroke_through_a_flat_of_one_label_leaves_it_whole():
     most=st.sampled_from([1, 3, 10]),
     begins=st.booleans(),
     done=st.booleans(),
+    small=st.sampled_from([0.0, 2.0]),
 )
-def test_until_it_is_done_a_voxel_has_its_label_of_before_or_of_then(shape, seed, most, begins, done):
+def test_until_it_is_done_a_voxel_has_its_label_of_before_or_of_then(shape, seed, most, begins, done, small):
     assume(np.prod(shape) >= 4)
     rng = np.random.default_rng(seed)
     tree = build_basin_tree(np.zeros(shape, np.float32), *costs(shape, seed))
     painted = np.full(shape, UNMARKED, np.uint8)
     painted.flat[rng.choice(painted.size, 3)] = [0, 0, 0] if begins else [0, 1, 0]
-    with patch.multiple(module, DIVIDED_AT_ONCE=most, DIVIDED_IN_PAUSES=most):
+    limits = patch.multiple(module, DIVIDED_AT_ONCE=most, DIVIDED_IN_PAUSES=most)
+    with limits, patch.object(division, "SMALL_SHARE", small):
         forest = solve_forest(tree, painted)
         forest.puts_off = True
         first = forest.copy()
