@@ -73,7 +73,7 @@ LARGE_FLAT = 300_000
 """Voxels in the basins of a flat minimum from which on memory is got for its division before it is needed."""
 DIVIDED_AT_ONCE = 3_000
 """Voxels of contested flat minima that get their marks with a stroke where that is put off."""
-DIVIDED_IN_PAUSES = 15_000
+DIVIDED_IN_PAUSES = 8_000
 """The same, in one piece, while nothing is painted."""
 FILLED_AT_ONCE = 400_000
 """Feet that are worked out in one piece where they were put off."""
