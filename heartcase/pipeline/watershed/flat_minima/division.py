@@ -228,7 +228,7 @@ class Division:
             return self._anew(number, painted, marks), _NOTHING
         self.flat_label[number] = CONTESTED
         self.counts[number] = count
-        return self._marked(number, label, painted, marks), (seeds, np.full(len(seeds), UNMARKED, np.uint8))
+        return self._marked(number, label, painted, marks), _new(seeds)
 
     def _go_on_dividing(
         self, number: int, count: Int64, stroke: Change, painted: UInt8, marks: UInt8, is_put_off: bool
@@ -245,9 +245,8 @@ class Division:
         if not was_whole:
             return _NOTHING, stroke
         self.whole.remove(number)
-        seeds = self._painted_in(number, painted)
         label = int(np.flatnonzero(before)[0])
-        return self._marked(number, label, painted, marks), (seeds, np.full(len(seeds), UNMARKED, np.uint8))
+        return self._marked(number, label, painted, marks), _new(self._painted_in(number, painted))
 
     def _painted_in(self, number: int, painted: UInt8) -> Int64:
         """Flat indices of a flat's painted voxels, ascending."""
@@ -369,6 +368,11 @@ def _stays_whole(number: int, painted: UInt8, flat_label: Int16) -> bool:
 def _counts(values: UInt8) -> Int64:
     """How many of each label there are, int64, shape (256,)."""
     return np.bincount(values[values != UNMARKED], minlength=256)
+
+
+def _new(seeds: Int64) -> Change:
+    """Painted voxels of a flat without distances: as if none of them had been painted before."""
+    return seeds, np.full(len(seeds), UNMARKED, np.uint8)
 
 
 def _joined(changes: Sequence[Change]) -> Change:
