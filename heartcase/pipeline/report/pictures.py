@@ -1,8 +1,8 @@
 """Pictures of a tissue surface: from six sides, cut open, and coloured by a value.
 
 Directions are the patient's: in the anterior view the viewer stands in front of the patient, whose left is on the
-right of the picture. Letters at the edges say which way is which: anterior, posterior, left, right, superior,
-inferior.
+right of the picture. Letters at the edges say which way is which: anterior, posterior, left, right, head,
+feet.
 """
 
 from __future__ import annotations

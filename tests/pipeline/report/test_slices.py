@@ -1,6 +1,8 @@
 """Slices lie the way radiologists look at them, whatever the axes of the volume are."""
 
 import itertools
+import re
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -215,3 +217,9 @@ def test_slices_are_counted_as_the_studio_counts_them():
     assert [slice_number(geometry, stack, 0) for stack in STACKS] == [1, 8, 1]
     turned = Geometry.of(shape=(10, 8, 6), spacing_mm=(3.0, 2.0, 4.0), direction=np.diag([-1.0, -1.0, 1.0]))
     assert [slice_number(turned, stack, 2) for stack in STACKS] == [3, 3, 4]
+
+
+def test_the_caption_names_the_letters_that_stand_in_the_pictures():
+    template = files("heartcase.pipeline.report") / "templates" / "report.html.j2"
+    named = re.search(r"Letters: ([^.]*)\.", template.read_text(encoding="utf-8"))
+    assert {part.split()[0] for part in named[1].split(", ")} == set(LETTER_DIRECTIONS)
