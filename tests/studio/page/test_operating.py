@@ -173,12 +173,16 @@ def test_a_story_by_mouse(chromium, operated):
         # away from the cut, which may lie open there
         hands.drag((14.0, -14.0, 40.5), (14.0, -14.0, 40.5))
         tab.mouse.up()
-        header = hands.until(lambda header: header["mode"] == "running")
-        # The hand of the recording holds where it was left, until it is let go. Where only the mouse's is there, which
-        # lets go by itself, the button may do nothing.
-        if header["instruments"]:
+        hands.until(lambda header: header["mode"] == "running")
+
+        def nothing_is_held():
+            # The hand of the recording may hold where it was left. The button lets go of what holds since last, which is
+            # the mouse's until that has let go by itself: then once more.
             tab.locator("#let-go").evaluate("(button) => button.click()")
-        header = hands.until(lambda header: not header["instruments"])
+            return not hands.header()["instruments"]
+
+        until(nothing_is_held)
+        header = hands.header()
         assert header["end_s"] == header["time_s"]
         stored = open_recording(operated.recipe.parent / "block-1.recording")
         assert {one.command.kind for one in stored.entries} >= {"close_grab", "open_grab", "cut"}
@@ -377,6 +381,10 @@ def test_what_moves_is_drawn_more_coarsely_where_drawing_takes_long(chromium, tm
             hands.until(lambda header: header["mode"] == "paused")
             until(lambda: page.tab.evaluate(shown)[1] == [False])
             hands.from_above()
+            # the last frame before the pause counts as motion for a while, and is drawn coarsely where that is slow
+            until(lambda: not page.tab.evaluate(f"async () => {OPEN}.picture.detail.isMoving"))
+            until(lambda: page.tab.evaluate(shown) == [True, [False], 1])
+            page.drawn()
             still = picture(page)
             # turned there and back, for as long as pictures take long
             late = f"async () => {{ const {{ picture }} = {OPEN}; picture.detail.drew(40, 1); picture.move(); }}"
