@@ -14,7 +14,7 @@ from heartcase.schemas.base import Colour, Model, Name
 from heartcase.schemas.errors import ModelProblems, Problem
 from heartcase.schemas.terms import TERMS, Term, normalised, term_by_code, term_by_name
 
-__all__ = ["BACKGROUND", "Label", "LabelTable", "Role", "default_label_table", "repeated_names"]
+__all__ = ["BACKGROUND", "Label", "LabelTable", "Role", "default_label_table", "further_labels", "repeated_names"]
 
 _MYOCARDIUM = next(term for term in TERMS if term.name == "myocardium")
 
@@ -375,3 +375,22 @@ def default_label_table() -> LabelTable:
         for value, name, role, wall, snomed in rows
     )
     return LabelTable(labels=(background, *structures))
+
+
+def further_labels() -> tuple[Label, ...]:
+    """Labels that are often added to the usual table, by ascending value behind it.
+
+    Walls in mm: of a vein as thick as that of the venae cavae, of an appendage as that of its atrium.
+    """
+    rows: tuple[tuple[str, Role, float], ...] = (
+        ("pulmonary vein", Role.VESSEL_LUMEN, 1.5),
+        ("coronary sinus", Role.VESSEL_LUMEN, 1.5),
+        ("left atrial appendage", Role.BLOOD, 2.5),
+        ("right atrial appendage", Role.BLOOD, 2.5),
+        ("morphologically right ventricular myocardium", Role.MYOCARDIUM, 0.0),
+    )
+    codes = {term.name: term.code for term in TERMS}
+    return tuple(
+        Label(value=value, name=name, role=role, wall_thickness_mm=wall, snomed=codes[name])
+        for value, (name, role, wall) in enumerate(rows, start=len(default_label_table()))
+    )

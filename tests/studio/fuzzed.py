@@ -86,6 +86,8 @@ def request(drawn, middle):
             {"do": "rest"},
             {"do": "picture", "position_mm": points[0]},
             {"do": "confirm", "position_mm": points[0], "label": label, "rival": "background"},
+            {"do": "add_label", "entry": {"name": label, "role": drawn.choice(("blood", "device"))}},
+            {"do": "remove_label", "label": label},
             {"do": "lock", "label": label, "locked": drawn.choice((True, False))},
         ]
     )

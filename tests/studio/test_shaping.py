@@ -100,6 +100,92 @@ def test_a_wall_is_set_in_the_label_table_which_is_written_out_where_it_was_not(
         assert walls["aorta"] == 1.2
 
 
+def test_a_structure_is_added_painted_taken_back_and_removed(recipe):
+    path, middle = recipe
+    text = path.read_text()
+    vein = {"name": "pulmonary vein", "role": "vessel_lumen", "wall_thickness_mm": 1.5}
+    with studio(path) as browser, page(browser) as talker, page(browser) as other:
+        new = next(one for one in last(talker, "shaping_facts")["new_labels"] if one["name"] == "pulmonary vein")
+        assert vein | {"colour": "#ebf1c7"} == new
+        before = read(path).table
+        assert talker.ask(do="add_label", entry=vein)["undo_kind"] == "labels.pulmonary vein"
+        added = path.read_text()
+        assert added.endswith(
+            '\n[[labels]]\nvalue = 10\nname = "pulmonary vein"\nrole = "vessel_lumen"\nwall_thickness_mm = 1.5\n'
+            'snomed = "122972007"\n'
+        )
+        assert list(read(path).table)[:-1] == list(before)
+        row = {"value": 10, "name": "pulmonary vein", "colour": "#ebf1c7", "role": "vessel_lumen"}
+        assert last(talker, "label_table")["labels"][-1] == row
+        # another page is told, too
+        other.ask(do="suggest")
+        assert last(other, "label_table")["labels"][-1] == row
+        talker.ask(do="lock", label="pulmonary vein", locked=True)
+        talker.ask(do="paint", label="pulmonary vein", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        assert (talker.labels == 10).any()
+        assert "pulmonary vein" in last(talker, "structures")["marked"]
+        # what is painted stays in the table
+        (problem,) = talker.ask(do="remove_label", label="pulmonary vein")["problems"]
+        assert "take its strokes back first" in problem["message"]
+        talker.ask(do="undo")
+        assert path.read_text() == added
+        talker.ask(do="remove_label", label="pulmonary vein")
+        assert read(path).table == before
+        assert len(last(talker, "label_table")["labels"]) == len(before)
+        assert last(talker, "structures")["locked"] == []
+        assert talker.ask(do="paint", label="pulmonary vein", radius_mm=1.0, points_mm=[middle])["kind"] == "refused"
+        assert talker.ask(do="undo")["redo_kind"] == "labels.pulmonary vein"
+        assert path.read_text() == added
+        talker.ask(do="undo")
+        assert path.read_text() == text
+        assert len(last(talker, "label_table")["labels"]) == len(before)
+    # a structure that the vocabulary lacks; also after a restart
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="add_label", entry={"name": "conduit", "role": "device", "colour": "#00ff00"})
+        talker.ask(do="paint", label="conduit", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+    with studio(path) as browser, page(browser) as talker:
+        assert talker.opened["labels"][-1] == {"value": 10, "name": "conduit", "colour": "#00ff00", "role": "device"}
+        assert (talker.labels == 10).any()
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ({"name": "Aorta", "role": "wall"}, "the recipe has it already, as 'aorta'"),
+        ({"name": "LV", "role": "blood"}, "as 'morphologically left ventricle'"),
+        ({"name": "water", "role": "background"}, "there is one background"),
+        ({"name": "water", "role": "sea"}, "role"),
+        ({"name": "", "role": "blood"}, "name"),
+        ({"role": "blood"}, "name"),
+        ({"name": "water", "role": "blood", "value": 3}, "not set on this page"),
+        ({"name": "water", "role": "device", "wall_thickness_mm": 2}, "only a blood or vessel_lumen label can grow"),
+        ({"name": "aorta wall", "role": "wall"}, "'aorta wall' is a label of its own"),
+    ],
+)
+def test_a_structure_that_cannot_be_added_changes_nothing(recipe, entry, said):
+    path, _ = recipe
+    text = path.read_bytes()
+    with studio(path) as browser, page(browser) as talker:
+        answer = talker.ask(do="add_label", entry=entry)
+        assert answer["kind"] == "refused"
+        assert said in json.dumps(answer["problems"])
+        assert path.read_bytes() == text
+
+
+def test_what_the_recipe_names_cannot_be_removed(recipe):
+    path, _ = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="add", list="ends", entries=[END])
+        text = path.read_bytes()
+        for name, said in (("aorta", "aorta"), ("background", "background"), ("nothing", "no label")):
+            answer = talker.ask(do="remove_label", label=name)
+            assert answer["kind"] == "refused"
+            assert said in json.dumps(answer["problems"])
+        assert path.read_bytes() == text
+
+
 def test_edits_of_bare_structures_stand_before_those_that_are_laid_over_them(recipe):
     path, _ = recipe
     with studio(path) as browser, page(browser) as talker:

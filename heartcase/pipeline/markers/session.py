@@ -402,6 +402,22 @@ class SegmentationSession:
             raise UsageError(f"value {unknown[0]} is not in the label table", place="lock")
         self._locks = Locks(values, self.labels)
 
+    def use_table(self, table: LabelTable) -> None:
+        """Paint with another table from now on; locks and right places of labels that it lacks are forgotten.
+
+        Raises
+        ------
+        UsageError
+            Something is marked that it lacks.
+        """
+        missing = sorted(self.marked_values() - set(table.values))
+        if missing:
+            raise UsageError(f"value {missing[0]} is painted and not in the label table", place="labels")
+        self.table = table
+        self.right_places = tuple(one for one in self.right_places if one.label in table and one.rival in table)
+        if not self.locked <= set(table.values):
+            self.lock(self.locked & set(table.values))
+
     def still(self) -> StillSegmentation:
         """The segmentation as it is now, copied: it can be looked at in another thread while painting goes on."""
         from heartcase.pipeline.markers.states import StillSegmentation

@@ -4,6 +4,7 @@ import { BuildTab } from "./building/build_tab.js";
 import { runDrafts } from "./panel/drafts.js";
 import { Guide } from "./panel/guide.js";
 import { runNaming } from "./panel/naming.js";
+import { runNewStructure } from "./panel/new_structure.js";
 import { runPlanes } from "./panel/planes.js";
 import { Status } from "./panel/status.js";
 import { Structures } from "./panel/structures.js";
@@ -108,6 +109,7 @@ function run() {
   });
   runHelp(shortcuts.areOn);
   runNaming(studio, shaping);
+  runNewStructure(studio, shaping);
   runPlanes(studio, views, (request) => connection.ask(request), (error) => fault(error));
   runDrafts(studio, location.pathname.replace("/prepare/", "/draft/"));
   find("next-place").addEventListener("click", () => actions.nextPlace());
@@ -139,7 +141,8 @@ function run() {
       structures.tell(message.volumes_ml, message.marked, message.locked ?? [], isComplete);
       guide.forget();
       guide.tell(message.checklist ?? [], message.marked ?? []);
-    } else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
+    } else if (message.kind === "label_table") tellLabels(message.labels);
+    else if (message.kind === "shaping_facts") shaping.facts.value = /** @type {any} */ (message);
     else if (message.kind === "shape") {
       shaping.tell(/** @type {any} */ (message));
       preview.refresh();
@@ -167,6 +170,13 @@ function run() {
     }
   }
 
+  /** @param {readonly import("./shared/studio.js").Label[]} labels */
+  function tellLabels(labels) {
+    studio.labels.value = labels;
+    // what was in hand may be gone
+    if (studio.pickedLabel === null) studio.picked.value = labels.find(({ role }) => role !== "background")?.value ?? null;
+  }
+
   /** @param {Message} message */
   function open(message) {
     studio.ready.value = false;
@@ -175,12 +185,8 @@ function run() {
     studio.modality.value = message.modality;
     studio.firstWindow.value = message.window;
     studio.range.value = message.range;
-    studio.labels.value = message.labels;
-    const isKnown = studio.pickedLabel !== null;
-    if (!isKnown) {
-      studio.window.value = { ...message.window };
-      studio.picked.value = message.labels.find((/** @type {{role: string}} */ one) => one.role !== "background")?.value ?? null;
-    }
+    if (message.labels.every((/** @type {{value: number}} */ one) => one.value !== studio.picked.value)) studio.window.value = { ...message.window };
+    tellLabels(message.labels);
     steps.tell(message.undo_count, message.redo_count);
     studio.undoKind.value = message.undo_kind;
     studio.redoKind.value = message.redo_kind;

@@ -20,7 +20,7 @@ from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.pipeline.watershed.boxes import Box
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.labels import BACKGROUND, Role
+from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.toml_places import Place
 from heartcase.studio.messages import boxes_message, labels_message, scan_message, surface_message, text_message
@@ -45,7 +45,17 @@ from heartcase.studio.painting.requests import (
 from heartcase.studio.painting.right_places import confirm_again, confirm_place
 from heartcase.studio.painting.shown import Shown, planes_in_voxels
 from heartcase.studio.shaping.facts import shaping_facts
-from heartcase.studio.shaping.requests import Add, Change, FindEnds, Preview, Propose, Remove, Set
+from heartcase.studio.shaping.requests import (
+    Add,
+    AddLabel,
+    Change,
+    FindEnds,
+    Preview,
+    Propose,
+    Remove,
+    RemoveLabel,
+    Set,
+)
 from heartcase.studio.shaping.shaping import Shaping
 
 __all__ = ["Answer", "Painting", "open_painting"]
@@ -117,10 +127,7 @@ class Painting:
             spacing_mm=geometry.spacing_mm,
             index_to_world=geometry.affine.tolist(),
             modality=scan.modality if scan.modality in ("CT", "MR") else None,
-            labels=[
-                {"value": label.value, "name": label.name, "colour": label.colour, "role": label.role.value}
-                for label in session.table
-            ],
+            labels=_label_rows(session.table),
             unmarked=UNMARKED,
             window={"low": low, "high": high},
             range={"low": float(scan.values.min()), "high": float(scan.values.max())},
@@ -173,10 +180,10 @@ class Painting:
             case History():
                 self._close_stroke()
                 return self._step(request, pages)
-            case Add() | Change() | Remove() | Set():
+            case Add() | Change() | Remove() | Set() | AddLabel() | RemoveLabel():
                 self._close_stroke()
                 self._shaping.act(request)
-                return self._told(request, self._shape(), self._structures())
+                return self._told(request, *self._shaped())
             case Propose():
                 return Answer(done=text_message("proposal", id=request.id, **self._shaping.propose(request)))
             case FindEnds():
@@ -281,9 +288,17 @@ class Painting:
         session, history = self._opened.session, self._history
         act = history.undo() if request.do == "undo" else history.redo()
         if act.kind != STROKE:
-            return self._told(request, self._shape(), self._structures())
+            return self._told(request, *self._shaped())
         answer = self._painted(request, session.undo() if request.do == "undo" else session.redo(), pages)
         return replace(answer, for_all=(*answer.for_all, self._structures()))
+
+    def _shaped(self) -> tuple[str, ...]:
+        """Messages on a recipe that says something else now; another label table is painted with from now on."""
+        session, table = self._opened.session, self._history.recipe.table
+        before, now = _label_rows(session.table), _label_rows(table)
+        session.use_table(table)
+        changed = () if before == now else (text_message("label_table", labels=now),)
+        return *changed, self._shape(), self._structures()
 
     def _shape(self) -> str:
         return text_message("shape", **self._shaping.shape())
@@ -407,6 +422,13 @@ def open_painting(path: Path, *, out: Path, listener: BuildListener) -> Painting
     history = open_history(path, out=out)
     opened.session.offer_again(history.undone_strokes)
     return Painting(opened, history, history.log.with_suffix(".locks.json"))
+
+
+def _label_rows(table: LabelTable) -> list[dict[str, Any]]:
+    """What a page shows of the labels."""
+    return [
+        {"value": label.value, "name": label.name, "colour": label.colour, "role": label.role.value} for label in table
+    ]
 
 
 def _preview(request: Preview, make: Callable[[], QuickSurface]) -> Callable[[], tuple[str | bytes, ...]]:

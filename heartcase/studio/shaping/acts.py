@@ -11,7 +11,6 @@ from pydantic import TypeAdapter, ValidationError
 from heartcase.pipeline.building.recipe_text import Inserted, changed_text, place_words, without_line
 from heartcase.schemas.base import Model, Name
 from heartcase.schemas.errors import Problem, UsageError, problems_from_validation
-from heartcase.schemas.labels import Label
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.edit_settings import Edit
 from heartcase.schemas.recipe.recipe import AUTOMATIC, Recipe
@@ -25,7 +24,8 @@ from heartcase.schemas.recipe.settings import (
 )
 from heartcase.schemas.toml_places import Place
 from heartcase.studio.shaping.facts import LINES, SETTINGS
-from heartcase.studio.shaping.requests import Add, Change, Remove, Set
+from heartcase.studio.shaping.label_table import with_label, with_wall_thickness, without_label
+from heartcase.studio.shaping.requests import Act, Add, AddLabel, Change, Remove, RemoveLabel, Set
 
 __all__ = ["done_to", "plain"]
 
@@ -45,7 +45,7 @@ _FIRST_KEYS = ("kind", "name", "label")
 """What a line begins with, as people write it."""
 
 
-def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> tuple[str, str]:
+def done_to(head: str, recipe: Recipe, request: Act) -> tuple[str, str]:
     """The recipe's text after a request, and what was changed, in the recipe's words.
 
     Parameters
@@ -65,8 +65,13 @@ def done_to(head: str, recipe: Recipe, request: Add | Change | Remove | Set) -> 
     RecipeError
         The part is written in a way that cannot be changed by itself.
     """
-    if isinstance(request, Set):
-        return _set(head, recipe, request)
+    match request:
+        case Set():
+            return _set(head, recipe, request)
+        case AddLabel():
+            return with_label(head, recipe, request.entry)
+        case RemoveLabel():
+            return without_label(head, recipe, request.label)
     place: Place = tuple(request.list.split("."))
     if request.list == "ends":
         head = _without_automatic(head)
@@ -164,7 +169,7 @@ def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
             raise UsageError(problems_from_validation(error, place="name")) from None
         return changed_text(head, (("name",), name)), "name"
     if first == "labels" and len(rest) == 2 and rest[1] == "wall_thickness_mm":
-        return _set_wall(head, recipe, rest[0], request.value)
+        return with_wall_thickness(head, recipe, rest[0], request.value)
     if first == "materials" and len(rest) == 2 and rest[0] == "labels":
         return _set_material(head, recipe, rest[1], request.value)
     if first not in SETTINGS or rest not in ([key] for key in SETTINGS[first][1]):
@@ -180,33 +185,6 @@ def _set(head: str, recipe: Recipe, request: Set) -> tuple[str, str]:
             if key in stated:
                 head = changed_text(head, (("materials", key), None))
     return changed_text(head, (tuple(request.place), request.value)), ".".join(request.place)
-
-
-def _set_wall(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str, str]:
-    place = f"labels.{name}.wall_thickness_mm"
-    label = recipe.table.find(name)
-    if label is None:
-        raise UsageError(f"there is no label {name!r}: take one of the list", place=place)
-    stated = tomllib.loads(head).get("labels")
-    changes: list[tuple[Place, Any]] = []
-    if stated is None:
-        # A table that is stated replaces the usual one, so all of it is.
-        stated = [_label_line(one) for one in recipe.labels if one.value != 0]
-        changes.append((("labels",), stated))
-    at = next((n for n, one in enumerate(stated) if one["value"] == label.value), None)
-    if at is None:
-        raise UsageError("is no cavity and has no wall", place=place)
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-        raise UsageError("must be a number, in mm", place=place)
-    # no wall is what a label has when nothing is said
-    changes.append((("labels", at, "wall_thickness_mm"), value or None))
-    return changed_text(head, *changes), place
-
-
-def _label_line(label: Label) -> dict[str, Any]:
-    keys = ("value", "name", "role", "colour", "wall_thickness_mm", "snomed")
-    written = label.model_dump(mode="json", exclude_defaults=True)
-    return {key: written[key] for key in keys if key in written}
 
 
 def _set_material(head: str, recipe: Recipe, name: str, value: Any) -> tuple[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from heartcase.schemas.base import Model
-from heartcase.schemas.labels import default_label_table
+from heartcase.schemas.labels import Role, default_label_table, further_labels
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.recipe.edit_settings import (
     CloseDefect,
@@ -95,6 +95,17 @@ def shaping_facts() -> dict[str, Any]:
             for name, (model, keys) in SETTINGS.items()
         },
         "materials": {name: {"ratio": one.ratio, "basis": one.basis} for name, one in MATERIALS.items()},
+        "new_labels": [
+            {
+                "name": label.name,
+                "role": label.role.value,
+                "colour": label.colour,
+                "wall_thickness_mm": label.wall_thickness_mm,
+            }
+            for label in (*default_label_table(), *further_labels())
+            if label.role is not Role.BACKGROUND
+        ],
+        "roles": [role.value for role in Role if role is not Role.BACKGROUND],
         "usual_wall_mm": {
             label.term.name: label.wall_thickness_mm for label in default_label_table() if label.term is not None
         },

@@ -10,13 +10,16 @@ from heartcase.schemas.base import Model, Name, PointMm
 from heartcase.studio.asking import RequestId
 
 __all__ = [
+    "Act",
     "Add",
+    "AddLabel",
     "Change",
     "FindEnds",
     "ListName",
     "Preview",
     "Propose",
     "Remove",
+    "RemoveLabel",
     "Set",
     "ShapingRequest",
 ]
@@ -87,6 +90,28 @@ class Set(Model):
     """What is set; null leaves the setting out, so that its default counts."""
 
 
+class AddLabel(Model):
+    """Add a label to the table: a structure that can be painted from then on."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["add_label"]
+    """Which request."""
+    entry: _Entry
+    """Its name and role, and where they are not the usual ones colour and wall thickness, as in the recipe."""
+
+
+class RemoveLabel(Model):
+    """Take a label with which nothing is painted out of the table."""
+
+    id: RequestId
+    """Number that the answer names."""
+    do: Literal["remove_label"]
+    """Which request."""
+    label: Name
+    """Its name."""
+
+
 class FindEnds(Model):
     """Find where vessels end that the recipe does not cut yet."""
 
@@ -122,4 +147,6 @@ class Preview(Model):
     """Whether it should come sooner rather than finely: while strokes follow on each other."""
 
 
-ShapingRequest = Add | Change | Remove | Set | FindEnds | Propose | Preview
+Act = Add | Change | Remove | Set | AddLabel | RemoveLabel
+"""What changes the recipe."""
+ShapingRequest = Act | FindEnds | Propose | Preview

@@ -15,10 +15,11 @@ from heartcase.pipeline.vessel_ends.discs import Stumps, end_marker
 from heartcase.pipeline.vessel_ends.end_place import end_place
 from heartcase.pipeline.vessel_ends.find_ends import find_ends
 from heartcase.pipeline.walls.grow_walls import resolve_walls
+from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import Recipe
 from heartcase.studio.shaping.acts import done_to, plain
 from heartcase.studio.shaping.facts import LINES, SETTINGS
-from heartcase.studio.shaping.requests import Add, Change, Propose, Remove, Set
+from heartcase.studio.shaping.requests import Act, Propose, RemoveLabel
 
 __all__ = ["Shaping"]
 
@@ -74,7 +75,7 @@ class Shaping:
             "is_locked": recipe.lock is not None,
         }
 
-    def act(self, request: Add | Change | Remove | Set) -> None:
+    def act(self, request: Act) -> None:
         """Carry an act out.
 
         Raises
@@ -83,10 +84,23 @@ class Shaping:
             It cannot be done, and nothing has changed.
         """
         history = self._history
+        if isinstance(request, RemoveLabel):
+            self._check_unpainted(request.label)
         head, kind = done_to(history.head, history.recipe, request)
         history.change(kind, head)
         # what was painted and taken back before cannot be done again behind this
         self._session.offer_again(())
+
+    def _check_unpainted(self, name: str) -> None:
+        session = self._session
+        label = session.table.find(name)
+        if label is None:
+            return
+        painted = [session.table.find(stroke.label) for stroke in session.strokes if stroke.label is not None]
+        if label in painted or label.value in session.marked_values():
+            raise UsageError(
+                f"{label.name!r} is painted: take its strokes back first, with undo", place=f"labels.{label.name}"
+            )
 
     def propose(self, request: Propose) -> dict[str, Any]:
         """How a disc lies at a place.

@@ -49,8 +49,8 @@ test("radiologists' sides: left at the right, front up, head up", () => {
 test("letters of oblique directions, strongest first", () => {
   assert.equal(orientationLetters([0, 0, 1]), "H");
   assert.equal(orientationLetters([-1, 0.05, 0]), "R");
-  assert.equal(orientationLetters([0.6, -0.8, 0]), "AL");
-  assert.equal(orientationLetters([-0.5, 0.5, -0.7]), "FRP");
+  assert.equal(orientationLetters([0.6, -0.8, 0]), "A·L");
+  assert.equal(orientationLetters([-0.5, 0.5, -0.7]), "F·R·P");
 });
 
 test("a camera shows pixels where they are, on the plane through the crosshair", () => {

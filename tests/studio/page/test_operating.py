@@ -176,8 +176,8 @@ def test_a_story_by_mouse(chromium, operated):
         hands.until(lambda header: header["mode"] == "running")
 
         def nothing_is_held():
-            # The hand of the recording may hold where it was left. The button lets go of what holds since last, which is
-            # the mouse's until that has let go by itself: then once more.
+            # The hand of the recording may hold where it was left. The button lets go of what holds since last: the
+            # mouse's until that has let go by itself, so once more.
             tab.locator("#let-go").evaluate("(button) => button.click()")
             return not hands.header()["instruments"]
 

@@ -1,6 +1,6 @@
 """The list of structures on the studio's page: locks and states; in a real browser."""
 
-from heartcase.schemas.recipe.recipe import load_recipe
+from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from tests.studio.axe.accessible import assert_accessible
 from tests.studio.page.browsing import browsing, mm_of, until
 from tests.studio.page.test_page import MIDDLE, inside, look_at, off, stroke
@@ -63,3 +63,57 @@ def test_quick_clicks_lock_one_structure_each(chromium, painted):
         until(lambda: page.tab.locator("#structures .lock[aria-pressed=true]").count() == count)
         pressed = [one.get_attribute("aria-pressed") == "true" for one in locks.all()]
         assert pressed == [n % 2 == 1 for n in range(locks.count())]
+
+
+def test_a_structure_is_added_painted_and_removed(chromium, painted):
+    server, path, affine = painted
+    middle = mm_of(MIDDLE, affine)[0]
+    text = path.read_text()
+    with browsing(chromium, server, viewport={"width": 1366, "height": 768}) as page:
+        tab = page.tab
+
+        def row(name):
+            return tab.locator("#structures .structure").filter(has_text=name)
+
+        look_at(page, middle, affine)
+        count = tab.locator("#structures .structure").count()
+        tab.locator("#new-structure summary").click()
+        which = tab.locator("#new-structure-which")
+        assert "aorta" not in which.inner_text()
+        which.select_option("coronary sinus")
+        assert tab.locator("#new-structure-wall").input_value() == "1.5"
+        assert_accessible(page, "new structure")
+        tab.locator("#new-structure-form button").click()
+        row("coronary sinus").wait_for()
+        # it is in hand at once
+        assert row("coronary sinus").locator(".pick").get_attribute("aria-pressed") == "true"
+        assert parse_recipe(path.read_text(), needs_markers=False).table["coronary sinus"].wall_thickness_mm == 1.5
+        stroke(page, "axial", [middle, off(middle, 2.0, 0, 0)], affine)
+        page.saved(2)
+        tab.locator("#new-structure summary").click()
+        tab.locator("#structure-remove").click()
+        tab.locator("#notice").wait_for()
+        assert "take its strokes back first" in page.text("#notice")
+        tab.locator("#notice-close").click()
+        tab.locator("#undo").click()
+        page.saved(1)
+        assert tab.locator("#undo").get_attribute("title").endswith("a structure")
+        tab.locator("#structure-remove").click()
+        until(lambda: tab.locator("#structures .structure").count() == count)
+        tab.locator("#undo").click()
+        row("coronary sinus").wait_for()
+        tab.locator("#undo").click()
+        until(lambda: tab.locator("#structures .structure").count() == count)
+        assert path.read_text() == text
+        # one that nobody has named yet, by keys alone
+        tab.locator("#new-structure-which").focus()
+        which.select_option("")
+        tab.locator("#new-structure-name").fill("Rastelli conduit")
+        tab.locator("#new-structure-role").select_option("device")
+        assert tab.locator("#new-structure-wall-part").is_hidden()
+        tab.keyboard.press("Tab")
+        tab.locator("#new-structure-name").press("Enter")
+        row("Rastelli conduit").wait_for()
+        (label,) = [one for one in parse_recipe(path.read_text(), needs_markers=False).table if one.role == "device"]
+        assert label.name == "Rastelli conduit"
+        assert label.colour != "#a0a0a0"

@@ -78,7 +78,8 @@ function runHistory(studio, actions) {
     const tell = () => {
       button.disabled = !studio.ready.value || count.value === 0;
       /** @type {HTMLElement} */ (button.querySelector(".count")).textContent = String(count.value);
-      const word = `act_${/^\w+/.exec(kind.value)?.[0]}`;
+      const isWall = kind.value.endsWith(".wall_thickness_mm");
+      const word = isWall ? "act_walls" : `act_${/^\w+/.exec(kind.value)?.[0]}`;
       const what = count.value === 0 ? "" : `, ${isWord(word) ? say(word) : kind.value}`;
       button.title = `${say(name)}${what}`;
       button.setAttribute("aria-label", `${say(name)}${what}: ${count.value}`);

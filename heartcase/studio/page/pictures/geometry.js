@@ -154,11 +154,11 @@ export function scanFrames(lattice) {
   return { axial: frame(axial), coronal: frame(coronal), sagittal: frame(sagittal) };
 }
 
-/** What a direction faces, strongest first: "L", or "LA" where it is oblique. @param {Vector} direction */
+/** What a direction faces, strongest first: "L", or "L·A" where it is oblique (LA is an atrium). @param {Vector} direction */
 export function orientationLetters(direction) {
   const letters = direction.map((value, axis) => ({ size: Math.abs(value), letter: SIDES[2 * axis + (value > 0 ? 1 : 0)] }));
   letters.sort((a, b) => b.size - a.size);
-  return letters.filter((one) => one.size > LETTER_FROM).map((one) => one.letter).join("");
+  return letters.filter((one) => one.size > LETTER_FROM).map((one) => one.letter).join("·");
 }
 
 /** Where a view looks: which plane, how large, and what lies in its middle. */

@@ -9,7 +9,8 @@ import { rounded } from "./discs.js";
 /** @typedef {Record<string, any>} Entry a line of the recipe, as it stands there */
 /** @typedef {{name: string, type: string, needed: boolean, unit?: string, minimum?: number, exclusiveMinimum?: number, maximum?: number,
  *   maxLength?: number, choices?: string[], default?: any, meaning: string}} Field */
-/** @typedef {{lines: Record<List, Record<string, Field[]>>, settings: Record<string, Field[]>, usual_wall_mm: Record<string, number>, materials: Record<string, {ratio: number, basis: string}>}} Facts */
+/** @typedef {{lines: Record<List, Record<string, Field[]>>, settings: Record<string, Field[]>, usual_wall_mm: Record<string, number>, new_labels: NewLabel[], roles: string[], materials: Record<string, {ratio: number, basis: string}>}} Facts */
+/** @typedef {{name: string, role: string, colour: string | null, wall_thickness_mm: number | null}} NewLabel null where it is the usual one */
 /** @typedef {{label: string, term: string | null, wall_thickness_mm: number, has_table: boolean}} Wall */
 /** @typedef {{name: string, role: string, colour: string, is_grown: boolean}} Structure */
 /** @typedef {{name: string, lines: Record<List, Entry[]>, settings: Record<string, Entry>, walls: Wall[], materials: Record<string, Entry>,
@@ -88,6 +89,16 @@ export class Shaping {
   /** @param {readonly string[]} place @param {unknown} value null leaves it out */
   set(place, value) {
     return this.#try({ do: "set", place, value });
+  }
+
+  /** @param {NewLabel} entry a structure that can be painted from then on */
+  async addLabel(entry) {
+    return (await this.#try({ do: "add_label", entry })) !== null;
+  }
+
+  /** @param {string} label name of a structure that is not painted */
+  removeLabel(label) {
+    return this.#try({ do: "remove_label", label });
   }
 
   async findEnds() {

@@ -483,7 +483,7 @@ export const words = {
   act_edits: "ein Defekt oder Formen",
   act_landmarks: "eine Landmarke",
   act_pins: "ein Fixpunkt",
-  act_labels: "eine Wand",
+  act_labels: "eine Struktur",
   act_walls: "Wände",
   act_materials: "ein Material",
   act_grid: "die Größe des Modells",

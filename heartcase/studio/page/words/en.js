@@ -482,7 +482,7 @@ export const words = {
   act_edits: "a defect or sculpting",
   act_landmarks: "a landmark",
   act_pins: "a pin",
-  act_labels: "a wall",
+  act_labels: "a structure",
   act_walls: "walls",
   act_materials: "a material",
   act_grid: "the model's size",
