@@ -148,7 +148,7 @@ def test_planes_are_turned_by_a_handle_and_by_keys(chromium, painted):
         assert page.text("#sides-axial") == "Left R, right L, above A, below P."
         # from right to below is from left to back
         assert page.text("#sides-coronal") == "Left R·A, right L·P, above H, below F."
-        assert page.text("#sides-sagittal") == "Left AL, right PR, above H, below F."
+        assert page.text("#sides-sagittal") == "Left A·L, right P·R, above H, below F."
         for view in ("coronal", "sagittal"):
             assert (inside(page, view) != before[view]).any()
         # painted in a turned plane, a stroke runs as the plane does
