@@ -21,7 +21,7 @@ SCRIPTS = 1000
 SCRIPTS_AT_ONCE = 10
 
 
-def run_some(law: str, backend: str, seeds: range, end: float) -> list[dict[str, Any]]:
+def run_some(law: str, seeds: range, backend: str, end: float, step_factor: float) -> list[dict[str, Any]]:
     """Outcomes of the scripts, until the time is over [s since the epoch]."""
     from tests.stress.test_violence import LAWS
     from tests.stress.violence import run
@@ -32,7 +32,7 @@ def run_some(law: str, backend: str, seeds: range, end: float) -> list[dict[str,
             break
         outcome: dict[str, Any] = {"law": law, "seed": seed}
         try:
-            done = run(seed, LAWS[law], backend)
+            done = run(seed, LAWS[law], backend, step_factor=step_factor)
         except Exception as error:  # what breaks down is told with the rest
             outcomes.append(outcome | {"error": f"{type(error).__name__}: {error}"})
             continue
@@ -73,6 +73,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--seconds", type=float, default=3600.0, help="time after which no script is begun")
     parser.add_argument("--scripts", type=int, default=SCRIPTS, help="scripts of each law")
+    parser.add_argument("--step-factor", type=float, default=1.0, help="step over the default one")
     parser.add_argument("--json", type=Path, required=True, help="file for the outcomes")
     options = parser.parse_args()
     from tests.stress.test_violence import LAWS
@@ -83,7 +84,8 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs, mp_context=multiprocessing.get_context("spawn")) as team:
         seeds = range(options.scripts)
         parts = [seeds[first : first + SCRIPTS_AT_ONCE] for first in range(0, len(seeds), SCRIPTS_AT_ONCE)]
-        begun = [(law, part, team.submit(run_some, law, options.backend, part, end)) for part in parts for law in LAWS]
+        of_all = (options.backend, end, options.step_factor)
+        begun = [(law, part, team.submit(run_some, law, part, *of_all)) for part in parts for law in LAWS]
         outcomes = [one for law, part, done in begun for one in _of(law, part, done)]
     laws = summary(outcomes)
     told = {"backend": options.backend, "seconds": round(time.time() - begin), "laws": laws, "outcomes": outcomes}

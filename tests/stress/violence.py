@@ -9,6 +9,7 @@ import numpy as np
 from heartcase.schemas.bundle.lattice import cell_nodes
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.measures import inverted_cells
+from heartcase.simulator.dynamics.step_size import default_step
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
@@ -57,14 +58,15 @@ def tissue(rng: np.random.Generator, law: ForceLaw) -> LatticeModel:
     )
 
 
-def run(seed: int, law: ForceLaw, backend: str, settle_steps: int = 3000) -> Outcome:
+def run(seed: int, law: ForceLaw, backend: str, settle_steps: int = 3000, step_factor: float = 1.0) -> Outcome:
     """Run one script; an error of the simulation is the caller's.
 
-    The default step, and a damping of 30/s.
+    The default step or a multiple of it, and a damping of 30/s.
     """
     rng = np.random.default_rng(seed)
     model = tissue(rng, law)
-    simulation = Simulation(model, damping_per_s=30.0, backend=backend)  # type: ignore[arg-type]
+    step_s = step_factor * default_step(model)
+    simulation = Simulation(model, damping_per_s=30.0, backend=backend, step_s=step_s)  # type: ignore[arg-type]
     deeds = []
     inverted_most = 0
     for _ in range(rng.integers(3, 7)):
