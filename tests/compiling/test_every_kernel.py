@@ -25,7 +25,7 @@ from heartcase.compiling.loops import LoopKernel
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.pipeline.data import UNMARKED
-from heartcase.pipeline.watershed import forest
+from heartcase.pipeline.watershed import forest, voxel_labels
 from heartcase.pipeline.watershed.painting import paint_boxes
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.bundle.manifest import listed_files
@@ -114,7 +114,7 @@ def test_a_session_paints_and_erases(out, tmp_path):
     session.put_off()
     np.testing.assert_array_equal(session.labels, before)
     # Labels of a box that is put off, by a table of all basins.
-    with patch.multiple(forest, MOST_AT_ONCE=0, MOST_LISTED=10**9, MOST_ONE_BY_ONE=0):
+    with patch.multiple(voxel_labels, MOST_AT_ONCE=0, MOST_LISTED=10**9, MOST_ONE_BY_ONE=0):
         session.paint(Stroke(label="aorta", radius_mm=3.0, points_mm=[(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)]))
         assert session.put_off_tiles.any()
         found = session.labels_of_box((slice(None), slice(None), slice(None)))

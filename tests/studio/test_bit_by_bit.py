@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.pipeline.watershed import forest as forest_module
+from heartcase.pipeline.watershed import voxel_labels
 from heartcase.pipeline.watershed.tree import build_basin_tree
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.settings import Stroke
@@ -113,8 +114,9 @@ def test_what_is_in_sight_is_always_exact_and_the_rest_in_the_end(
         return geometry.index_to_world(np.array(point) * (np.array(SHAPE[::-1]) - 1)).tolist()
 
     limits = {"BEHIND_FROM": behind[0], "FEW_MARKED": behind[1], "MOST_MENDED": mended}
-    limits |= {"MOST_ONE_BY_ONE": one_by_one, "DIVIDED_AT_ONCE": divided, "DIVIDED_IN_PAUSES": divided}
-    with patch.multiple(forest_module, MOST_AT_ONCE=at_once, MOST_LISTED=most, **limits):
+    limits |= {"DIVIDED_AT_ONCE": divided, "DIVIDED_IN_PAUSES": divided}
+    voxel_limits = {"MOST_AT_ONCE": at_once, "MOST_LISTED": most, "MOST_ONE_BY_ONE": one_by_one}
+    with patch.multiple(forest_module, **limits), patch.multiple(voxel_labels, **voxel_limits):
         session, plain = SegmentationSession(tree, geometry, TABLE), SegmentationSession(tree, geometry, TABLE)
         session.put_off()
         pages, planes = [Seen(session), Seen(session)], [(), ()]
@@ -228,7 +230,7 @@ def test_a_flat_that_is_divided_bit_by_bit_is_told_in_the_end(tmp_path, monkeypa
 
 
 def test_pages_that_look_elsewhere_and_one_that_says_nothing_end_alike(tmp_path, monkeypatch):
-    monkeypatch.setattr(forest_module, "MOST_AT_ONCE", 0)
+    monkeypatch.setattr(voxel_labels, "MOST_AT_ONCE", 0)
     path = write_large_recipe(tmp_path)
     with studio(path) as browser, page(browser) as one, page(browser) as other:
         middle = [0.5 * n * s for n, s in zip(SHAPE[::-1], SPACING, strict=True)]

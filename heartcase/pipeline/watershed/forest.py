@@ -4,24 +4,24 @@ Of a marked basin only what lies below its marked voxels (its *foot*) waits for 
 label of the first marked voxel on its way down, or that of the foot. A foot is reached through the basin's own lowest
 marked voxel, by the face under that voxel; or through a face from a neighbouring basin. Such a face ends in a foot, or
 above a marked voxel, where the label is given. ``level`` is the key of the highest face on a foot's way to its marked
-voxel; it is what a new way has to beat.
+voxel; it is what a new way has to beat. What all voxels get by that is worked out, or put off, by
+:mod:`heartcase.pipeline.watershed.voxel_labels`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.kernels.counting import count_values
-from heartcase.pipeline.watershed.boxes import Box, around_both, as_box, in_parts, tiles_around, voxels_in, within
-from heartcase.pipeline.watershed.descent import ROOT, row_chunks, side_offsets
+from heartcase.pipeline.watershed.boxes import Box, around_both
+from heartcase.pipeline.watershed.descent import ROOT
 from heartcase.pipeline.watershed.flat_minima.division import Division, Groups, divided_flats
 from heartcase.pipeline.watershed.flat_minima.mending import ALL
-from heartcase.pipeline.watershed.hanging import Filling, PartedForest, solve_parted
 from heartcase.pipeline.watershed.incremental import mend, unmark
 from heartcase.pipeline.watershed.marks import (
     find_lowest_marks,
@@ -34,18 +34,10 @@ from heartcase.pipeline.watershed.marks import (
     own_key,
     reach,
 )
-from heartcase.pipeline.watershed.painting import (
-    MARKED_BASIN,
-    TILE,
-    count_labels,
-    paint_basins,
-    paint_boxes,
-    paint_rows,
-    tiles_of,
-)
-from heartcase.pipeline.watershed.sight import Sight, paint_sight
+from heartcase.pipeline.watershed.sight import Sight
 from heartcase.pipeline.watershed.tree import NO_KEY, BasinTree
-from heartcase.schemas.arrays import Bool, Int16, Int32, Int64, UInt8
+from heartcase.pipeline.watershed.voxel_labels import Feet, VoxelLabels
+from heartcase.schemas.arrays import Bool, Int16, Int64, UInt8
 
 __all__ = ["Box", "Forest", "solve_forest"]
 
@@ -57,12 +49,6 @@ MENDED_FOR_MARKED = 0.1
 """Feet that may be mended besides for each marked basin: with many of these solving anew takes longer."""
 MOST_ERASED = 100_000
 """Voxels that lose their marks up to which what hung on them is looked up; with more, all is solved anew."""
-MOST_AT_ONCE = 100_000
-"""Voxels in basins that changed that are painted at once where painting may be put off."""
-MOST_LISTED = 300_000
-"""Voxels in basins that changed up to which their tiles are looked up; with more, all are painted anew."""
-MOST_ONE_BY_ONE = 50_000
-"""Voxels of boxes up to which the labels of these alone are looked up; with more, a table of all basins is worth it."""
 FEW_MARKED = 0.02
 """Share of the basins that are marked up to which solving anew is a matter of few ms, whatever is changed."""
 MOST_CARRIED = 2_000
@@ -77,8 +63,6 @@ DIVIDED_IN_PAUSES = 8_000
 """The same, in one piece, while nothing is painted."""
 FILLED_AT_ONCE = 400_000
 """Feet that are worked out in one piece where they were put off."""
-WHOLE_SHARE = 0.15
-"""Share of the voxels in basins that changed from which on all voxels are painted anew: rows are quicker than lists."""
 
 
 @dataclass
@@ -89,51 +73,70 @@ class Forest:
     """The tree of the landscape."""
     painted: UInt8
     """Label of each painted voxel, uint8, shape [z, y, x]; 255 elsewhere."""
-    marks: UInt8
-    """The same with contested flat minima divided."""
-    foot_label: UInt8
-    """Label of each basin's foot."""
-    foot_level: Int64
-    """Key of the highest face on each foot's way to its marked voxel; 0 where that is its lowest voxel."""
-    lowest_mark: Int64
-    """Flat index of each basin's lowest marked voxel; -1 without any."""
     flat_label: Int16
-    """Label that marks each flat minimum: -1 none, -2 several."""
-    labels: UInt8
-    """Label of each voxel; in a tile that is put off, of some earlier moment."""
+    """Label that marks each flat minimum, int16, by its number: -1 none, -2 several."""
+    _feet: Feet
+    _voxels: VoxelLabels
     puts_off: bool = False
     """Whether :meth:`paint` leaves the labels of many voxels to :meth:`settle` and the like, and where few basins are
     marked also those of the feet."""
-    put_off: Bool = field(default_factory=lambda: np.zeros((0, 0, 0), np.bool_))
-    """Which tiles are put off, bool, shape [z, y, x] of tiles of 32 voxels along each side."""
-    stamps: Int64 = field(default_factory=lambda: np.zeros((0, 0, 0), np.int64))
-    """By tile: a number that is higher, the later a label that was put off turned out to be another one."""
-    put_off_times: int = 0
-    """How often labels were put off so far."""
     _division: Division | None = None
     """How contested flat minima are divided; None while none was."""
-    _is_behind: bool = False
-    """Whether labels and levels of feet are of earlier markers: those of now follow from what is parted."""
-    _parted: PartedForest | None = None
-    _filling: Filling | None = None
-    _feet_now: UInt8 | None = None
-    _table: UInt8 | None = None
-    _marked: Int64 | None = None
     _painted_counts: Int64 | None = None
-
-    def __post_init__(self) -> None:
-        """Begin with nothing put off."""
-        self.put_off = np.zeros([-(-n // TILE) for n in self.tree.height.shape], np.bool_)
-        self.stamps = np.zeros(self.put_off.shape, np.int64)
 
     def copy(self) -> Forest:
         """The same forest, with all worked out and arrays of its own; both have one tree."""
         self.fill()
         self.settle()
-        names = ("painted", "marks", "foot_label", "foot_level", "lowest_mark", "flat_label", "labels")
-        copies = {name: getattr(self, name).copy() for name in names}
-        division = self._division and self._division.copy(copies["flat_label"])
-        return replace(self, _division=division, **copies)
+        flat_label, feet = self.flat_label.copy(), self._feet.copy()
+        return replace(
+            self,
+            painted=self.painted.copy(),
+            flat_label=flat_label,
+            _feet=feet,
+            _voxels=self._voxels.copy(feet),
+            _division=self._division and self._division.copy(flat_label),
+        )
+
+    @property
+    def marks(self) -> UInt8:
+        """The same as ``painted``, with contested flat minima divided, uint8, shape [z, y, x]."""
+        return self._feet.marks
+
+    @property
+    def lowest_mark(self) -> Int64:
+        """Flat index of each basin's lowest marked voxel, int64, shape (basins,); -1 without any."""
+        return self._feet.lowest_mark
+
+    @property
+    def foot_label(self) -> UInt8:
+        """Label of each basin's foot, uint8, shape (basins,); after :meth:`fill`, of now."""
+        return self._feet.label
+
+    @property
+    def foot_level(self) -> Int64:
+        """Key of the highest face on each foot's way to its marked voxel, int64, shape (basins,), as for the labels."""
+        return self._feet.level
+
+    @property
+    def labels(self) -> UInt8:
+        """Label of each voxel, uint8, shape [z, y, x]; in a tile that is put off, of some earlier moment."""
+        return self._voxels.labels
+
+    @property
+    def put_off(self) -> Bool:
+        """Which tiles are put off, bool, shape [z, y, x] of tiles of 32 voxels along each side."""
+        return self._voxels.put_off
+
+    @property
+    def stamps(self) -> Int64:
+        """By tile, int64: higher, the later it was that a label which was put off turned out to be another one."""
+        return self._voxels.stamps
+
+    @property
+    def put_off_times(self) -> int:
+        """How often labels were put off so far."""
+        return self._voxels.put_off_times
 
     def paint(self, voxels: Int64, label: int) -> Box | None:
         """Mark voxels with a label, and mend the forest where that changes it.
@@ -198,65 +201,63 @@ class Forest:
         All basins of such a flat have its label at their feet, and no way to another foot leads through a lower key.
         """
         for lowest in begun:
-            bits, direction, basin, _ = self._landscape
+            bits, direction, basin, _ = self._feet.landscape
             here = basin[lowest]
             self.lowest_mark[here] = lowest
             # as own_key says
             key = (bits[lowest].astype(np.int64) << 32) | (lowest << 3)
             self.foot_level[here] = np.where(direction[lowest] == ROOT, 0, key)
-            self._forget()
-            self._marked = None
+            self._feet.forget(None)
         begun.clear()
 
     def _mark(self, groups: Groups, most_at_once: int | None = None) -> Box | None:
         """Give voxels marks, label by label (255: none), and mend the forest; the box in which labels changed."""
         if not groups:
             return None
-        self._forget()
-        tree = self.tree
+        tree, feet = self.tree, self._feet
         basin = tree.basin.ravel()
         is_touched = np.zeros(tree.basin_count, np.bool_)
         for _, voxels in groups:
             is_touched[basin[voxels]] = True
         touched = np.flatnonzero(is_touched)
-        self._marked = np.union1d(self._known_marked(), touched) if self._may_fall_behind else None
+        feet.forget(touched if self._may_fall_behind else None)
         is_quick = self._is_quick
-        if is_quick and self._is_behind:
+        if is_quick and feet.is_put_off:
             self._note(groups)
             self.fall_behind()
             return None
-        self._fill_feet()
+        feet.fill()
         graph = (*tree.neighbours, tree.key, *tree.ends)
-        feet = (self.marks.reshape(-1), self.foot_label, self.foot_level, self.lowest_mark)
-        worth = MOST_MENDED * tree.basin_count + MENDED_FOR_MARKED * np.count_nonzero(self.lowest_mark >= 0)
+        arrays = (feet.marks.reshape(-1), feet.label, feet.level, feet.lowest_mark)
+        worth = MOST_MENDED * tree.basin_count + MENDED_FOR_MARKED * np.count_nonzero(feet.lowest_mark >= 0)
         most = min(int(worth), MOST_CARRIED if is_quick else tree.basin_count)
-        before = None if is_quick else self.foot_label.copy()
+        before = None if is_quick else feet.label.copy()
         changed: list[Int64] = []
         for number, (label, voxels) in enumerate(groups):
             if label != UNMARKED:
-                found = mend(self._landscape, graph, voxels, label, *feet, most)
+                found = mend(feet.landscape, graph, voxels, label, *arrays, most)
             elif len(voxels) > MOST_ERASED:
                 self._note([(label, voxels)])
                 found = np.empty(0, np.int64)
             else:
-                found = unmark(self._landscape, graph, tree.voxels, voxels, *feet, most)
+                found = unmark(feet.landscape, graph, tree.voxels, voxels, *arrays, most)
             if not len(found):
                 self._note(groups[number + 1 :])
                 break
             changed.append(found)
         else:
             every = changed[0] if len(changed) == 1 else np.unique(np.concatenate(changed))
-            return self._paint_basins(every, most_at_once)
+            return self._voxels.paint_basins(every, puts_off=self.puts_off, most_at_once=most_at_once)
         if before is None:
             self.fall_behind()
             return None
-        self._is_behind = True
-        self._fill_feet()
+        feet.put_off()
+        feet.fill()
         if not self.puts_off:
-            return self._paint_whole()
-        is_changed = self.foot_label != before
+            return self._voxels.paint_whole()
+        is_changed = feet.label != before
         is_changed[touched] = True
-        return self._paint_basins(np.flatnonzero(is_changed), most_at_once)
+        return self._voxels.paint_basins(np.flatnonzero(is_changed), puts_off=True, most_at_once=most_at_once)
 
     def _note(self, groups: Groups) -> None:
         """Give voxels marks, and leave the forest as it is."""
@@ -280,23 +281,22 @@ class Forest:
             voxels = marked_voxels(self.marks)
         self.lowest_mark[:] = -1
         find_lowest_marks(bits, basin, voxels, self.lowest_mark)
-        self._forget()
-        self._marked = None
+        self._feet.forget(None)
         if self._is_quick:
             self.fall_behind()
             return None
         higher, lower = tree.ends
         first, second = tree.basins
         _solve(
-            self._landscape,
+            self._feet.landscape,
             (tree.key, higher, lower, first, second),
             self.marks.ravel(),
             self.lowest_mark,
             self.foot_label,
             self.foot_level,
         )
-        self._is_behind = False
-        return self._paint_whole()
+        self._feet.is_put_off = False
+        return self._voxels.paint_whole()
 
     @property
     def is_labelled(self) -> bool:
@@ -306,13 +306,7 @@ class Forest:
     def label_counts(self) -> Int64:
         """Number of voxels of each label, int64, shape (256,); flats are divided for it, and labels stay put off."""
         self.finish_dividing()
-        if self.is_settled:
-            found: Int64 = count_values(self.labels.reshape(-1))
-            return found
-        if self._is_behind:
-            return self._solution().label_counts(self.tree, self._way_down, self.marks.reshape(-1))
-        _, ways, _, offsets = self._way_down
-        return count_labels(*self.tree.voxels, ways, offsets, self.marks.reshape(-1), self.lowest_mark, self.foot_label)
+        return self._voxels.label_counts()
 
     def painted_counts(self) -> Int64:
         """Number of voxels that are painted with each label, int64, shape (256,)."""
@@ -323,65 +317,24 @@ class Forest:
     def settle(self) -> None:
         """Work out all labels that were put off."""
         self.finish_dividing()
-        self._fill_feet()
-        if self.put_off.any():
-            self._paint_whole()
+        self._voxels.settle()
 
     def settle_boxes(self, boxes: Sequence[Box]) -> None:
-        """Work out the labels in some boxes [z, y, x]; what was put off elsewhere stays so.
-
-        Parameters
-        ----------
-        boxes
-            What lies outside of the volume is left out. A tile is settled where one of them is all of it.
-        """
-        changed = np.zeros_like(self.put_off)
-        inside = (within(box, self.labels.shape) for box in boxes)
-        boxes = [box for box in inside if self.put_off[tiles_around(box)].any()]
-        if not boxes:
-            return
-        bounds = np.array([[[one.start, one.stop] for one in box] for box in boxes], np.int64)
-        low, high = bounds[..., 0], bounds[..., 1]
-        if (high - low).prod(axis=1).sum() <= MOST_ONE_BY_ONE:
-            self.settle_voxels(voxels_in(low, high, self.labels.shape))
-        else:
-            self._paint_boxes(low, high, changed)
-        for box in boxes:
-            if all(
-                one.start % TILE == 0 and one.stop == min(one.start + TILE, n)
-                for one, n in zip(box, self.labels.shape, strict=True)
-            ):
-                self.put_off[tiles_around(box)] = False
-        self.stamps[changed] = self.stamps.max() + 1
+        """Work out the labels in some boxes [z, y, x], as :meth:`VoxelLabels.settle_boxes` does."""
+        self._voxels.settle_boxes(boxes)
 
     def settle_sight(self, sight: Sight) -> None:
         """Work out the labels that a plane shows; no tile is settled by that."""
-        if self.put_off[sight.tiles].any():
-            self.settle_voxels(sight.voxel, sight.basin)
+        self._voxels.settle_sight(sight)
 
-    def settle_voxels(self, voxels: Int64, basins: Int32 | None = None) -> None:
-        """Work out the labels of voxels, flat indices, whose basins may be known; no tile is settled by that."""
-        changed = np.zeros_like(self.put_off)
-        self._paint_voxels(voxels, self.tree.basin.ravel()[voxels] if basins is None else basins, changed)
-        self.stamps[changed] = self.stamps.max() + 1
-
-    @property
-    def _landscape(self) -> tuple[Int32, UInt8, Int32, Int64]:
-        """Bits of the heights, directions, basins and offsets of sides, flat."""
-        tree = self.tree
-        bits, offsets = tree.height.view(np.int32).ravel(), side_offsets(tree.height.shape)
-        return bits, tree.direction.ravel(), tree.basin.ravel(), offsets
-
-    @property
-    def _way_down(self) -> tuple[Int32, UInt8, Int32, Int64]:
-        """The same for what only asks for labels: ways down end at flat minima."""
-        bits, _, basin, offsets = self._landscape
-        return bits, self.tree.ways.ravel(), basin, offsets
+    def settle_voxels(self, voxels: Int64) -> None:
+        """Work out the labels of voxels, flat indices, int64; no tile is settled by that."""
+        self._voxels.settle_voxels(voxels)
 
     @property
     def is_settled(self) -> bool:
         """Whether all labels are worked out."""
-        return not (self.is_dividing or self._is_behind or self.put_off.any())
+        return self._voxels.is_settled and not self.is_dividing
 
     @property
     def is_dividing(self) -> bool:
@@ -397,7 +350,7 @@ class Forest:
         """Work out all marks, and the labels and levels of all feet, where they were put off: as :meth:`solve` does."""
         while self._division is not None and not self._division.is_done:
             self._divide(ALL, most_painted=-1)
-        self._fill_feet()
+        self._feet.fill()
 
     def fill_some(self, most: int = FILLED_AT_ONCE) -> bool:
         """Work out some of the marks or of so many feet that were put off; whether there were any."""
@@ -405,7 +358,7 @@ class Forest:
             # who asks is told by the tiles that are put off
             self._divide(DIVIDED_IN_PAUSES, most_painted=-1)
             return True
-        return self._fill_some_feet(most)
+        return self._feet.fill_some(most)
 
     def _divide(self, most: int, most_painted: int | None = None) -> Box | None:
         """Divide flat minima on by so many voxels; the box in which labels changed."""
@@ -414,21 +367,6 @@ class Forest:
         groups = self._division.go_on(self.painted.reshape(-1), self.marks.reshape(-1), most)
         return self._mark(groups, most_painted)
 
-    def _fill_feet(self) -> None:
-        while self._fill_some_feet(self.tree.basin_count):
-            pass
-
-    def _fill_some_feet(self, most: int) -> bool:
-        if not self._is_behind:
-            return False
-        if self._filling is None:
-            self._filling = Filling(self._solution())
-        if self._filling.go_on(most):
-            self.foot_label, self.foot_level = self._filling.foot_label, self._filling.foot_level
-            self._is_behind = False
-            self._parted = self._filling = self._feet_now = None
-        return True
-
     @property
     def _may_fall_behind(self) -> bool:
         return self.puts_off and self.tree.basin_count >= BEHIND_FROM
@@ -436,7 +374,7 @@ class Forest:
     @property
     def _is_quick(self) -> bool:
         """Whether solving anew is quick, and passes over all basins are put off."""
-        return self._may_fall_behind and len(self._known_marked()) <= FEW_MARKED * self.tree.basin_count
+        return self._may_fall_behind and len(self._feet.maybe_marked()) <= FEW_MARKED * self.tree.basin_count
 
     def get_ready(self) -> None:
         """Have the memory at hand that dividing a large flat minimum takes."""
@@ -449,101 +387,8 @@ class Forest:
 
     def fall_behind(self) -> None:
         """Leave all that follows from the markers to whoever asks for it."""
-        self._forget()
-        self._is_behind = True
-        self.put_off[:] = True
-        self.put_off_times += 1
-
-    def _forget(self) -> None:
-        """Forget what followed from markers that are others now."""
-        self._parted = self._filling = self._feet_now = self._table = None
-
-    def _known_marked(self) -> Int64:
-        """Basins that may be marked, ascending: no others are."""
-        if self._marked is None:
-            self._marked = np.flatnonzero(self.lowest_mark >= 0)
-        return self._marked
-
-    def _marked_basins(self) -> Int64:
-        known = self._known_marked()
-        return known[self.lowest_mark[known] >= 0]
-
-    def _solution(self) -> PartedForest:
-        """The forest of these markers."""
-        if self._parted is None:
-            marks = self.marks.reshape(-1)
-            self._parted = solve_parted(self.tree, self._landscape, marks, self.lowest_mark, self._marked_basins())
-        return self._parted
-
-    def _feet(self) -> UInt8:
-        """Label of each basin's foot."""
-        if not self._is_behind:
-            return self.foot_label
-        if self._feet_now is None:
-            self._feet_now = np.empty(self.tree.basin_count, np.uint8)
-            self._solution().fill_labels(self._feet_now)
-        return self._feet_now
-
-    def _paint_basins(self, changed: Int64, most_at_once: int | None) -> Box | None:
-        """Paint basins that changed, or put that off where they hold more voxels; the box in which labels changed."""
-        tree = self.tree
-        first_voxel, voxel_list = tree.voxels
-        count = int((first_voxel[changed + 1] - first_voxel[changed]).sum())
-        if self.puts_off and count > (MOST_AT_ONCE if most_at_once is None else most_at_once):
-            self.put_off_times += 1
-            if count > MOST_LISTED:
-                self.put_off[:] = True
-            else:
-                tiles_of(changed, first_voxel, voxel_list, self.labels.shape, self.put_off)
-            return None
-        if count > WHOLE_SHARE * self.labels.size:
-            return self._paint_whole()
-        low, high = paint_basins(
-            changed,
-            first_voxel,
-            voxel_list,
-            tree.ways.ravel(),
-            side_offsets(tree.height.shape),
-            self.marks.reshape(-1),
-            self.lowest_mark,
-            self.foot_label,
-            self.labels.reshape(-1),
-            self.labels.shape,
-        )
-        return as_box(low, high)
-
-    def _paint_voxels(self, voxels: Int64, basins: Int32, changed: Bool) -> None:
-        """Label some voxels of these basins; notes tiles in which that changed any. No table of all basins is made."""
-        none = np.empty(0, np.int32)
-        solved = self._solution() if self._is_behind else None
-        feet = (solved.hanging.place, solved.group, solved.label) if solved else (none, none, self.foot_label)
-        marks, labels = self.marks.reshape(-1), self.labels.reshape(-1)
-        paint_sight(voxels, basins, feet, self._way_down, marks, self.lowest_mark, labels, self.labels.shape, changed)
-
-    def _paint_boxes(self, low: Int64, high: Int64, changed: Bool) -> None:
-        """The same for all voxels of boxes, side by side."""
-        feet = self._feet()
-        if self._table is None:
-            self._table = feet.copy()
-            self._table[self._marked_basins()] = MARKED_BASIN
-        way_down, marks = self._way_down[1:], self.marks.reshape(-1)
-        paint_boxes(*in_parts(low, high), self._table, *way_down, marks, feet, self.labels, changed)
-
-    def _paint_whole(self) -> Box | None:
-        self.stamps[self.put_off] = self.stamps.max() + 1
-        self.put_off[:] = False
-        rows = row_chunks(self.labels.shape)
-        low, high = paint_rows(
-            rows,
-            self.tree.ways.ravel(),
-            self.tree.basin.ravel(),
-            side_offsets(self.labels.shape),
-            self.marks.ravel(),
-            self.lowest_mark,
-            self.foot_label,
-            self.labels,
-        )
-        return as_box(low.min(axis=0), high.max(axis=0))
+        self._feet.put_off()
+        self._voxels.put_off_all()
 
 
 def solve_forest(tree: BasinTree, markers: UInt8) -> Forest:
@@ -562,15 +407,19 @@ def solve_forest(tree: BasinTree, markers: UInt8) -> Forest:
         Its labels are 255 everywhere where nothing is marked.
     """
     count = tree.basin_count
+    feet = Feet(
+        tree=tree,
+        marks=np.empty(markers.shape, np.uint8),
+        lowest_mark=np.empty(count, np.int64),
+        label=np.empty(count, np.uint8),
+        level=np.empty(count, np.int64),
+    )
     forest = Forest(
         tree=tree,
         painted=np.array(markers, np.uint8, order="C"),
-        marks=np.empty(markers.shape, np.uint8),
-        foot_label=np.empty(count, np.uint8),
-        foot_level=np.empty(count, np.int64),
-        lowest_mark=np.empty(count, np.int64),
         flat_label=np.empty(count, np.int16),
-        labels=np.full(markers.shape, UNMARKED, np.uint8),
+        _feet=feet,
+        _voxels=VoxelLabels(feet, np.full(markers.shape, UNMARKED, np.uint8)),
     )
     forest.solve()
     return forest

@@ -10,7 +10,7 @@ from heartcase.pipeline.building.first_look import first_look
 from heartcase.pipeline.building.quick_surface import quick_surface
 from heartcase.pipeline.data import Scan
 from heartcase.pipeline.markers.session import SegmentationSession
-from heartcase.pipeline.watershed import forest as forest_module
+from heartcase.pipeline.watershed import voxel_labels
 from heartcase.schemas.errors import MarkerError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import parse_recipe
@@ -40,7 +40,7 @@ def session_on_a_ball(*, puts_off):
 
 @pytest.fixture
 def everything_is_put_off():
-    with patch.multiple(forest_module, MOST_AT_ONCE=0, MOST_LISTED=0):
+    with patch.multiple(voxel_labels, MOST_AT_ONCE=0, MOST_LISTED=0):
         yield
 
 

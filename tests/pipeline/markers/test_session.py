@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from heartcase.pipeline.data import Markers, Scan
 from heartcase.pipeline.markers.load_markers import rasterise_strokes
 from heartcase.pipeline.markers.session import SegmentationSession
-from heartcase.pipeline.watershed import forest as forest_module
+from heartcase.pipeline.watershed import voxel_labels
 from heartcase.pipeline.watershed.segment_scan import segment_scan
 from heartcase.schemas.errors import MarkerError, UsageError
 from heartcase.schemas.geometry import Geometry
@@ -205,7 +205,7 @@ def test_what_is_put_off_counts_as_changed_and_boxes_are_taken_as_numpy_takes_th
         return session
 
     boxes = [np.s_[:, 3:5, :], np.s_[2:900, -3:, 4:], np.s_[5:2, :, :], np.s_[::2, :, 8:2:-1], np.s_[20:30, :, :]]
-    with patch.multiple(forest_module, MOST_AT_ONCE=0, MOST_LISTED=10**9, MOST_ONE_BY_ONE=one_by_one):
+    with patch.multiple(voxel_labels, MOST_AT_ONCE=0, MOST_LISTED=10**9, MOST_ONE_BY_ONE=one_by_one):
         plain = painted(puts_off=False)
         for box in boxes:
             session = painted(puts_off=True)

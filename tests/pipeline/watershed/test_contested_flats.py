@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from heartcase.pipeline.data import UNMARKED
 from heartcase.pipeline.watershed import forest as module
+from heartcase.pipeline.watershed import voxel_labels
 from heartcase.pipeline.watershed.flat_minima import division
 from heartcase.pipeline.watershed.forest import solve_forest
 from heartcase.pipeline.watershed.tree import build_basin_tree
@@ -39,8 +40,6 @@ def has_same_division(mended, anew):
         {
             "BEHIND_FROM": st.sampled_from([0, 10**9]),
             "FEW_MARKED": st.sampled_from([0.0, 0.3, 2.0]),
-            "MOST_AT_ONCE": st.sampled_from([0, 5, 10**9]),
-            "MOST_LISTED": st.sampled_from([0, 20, 10**9]),
             "MOST_MENDED": st.sampled_from([0.005, 0.3, 5.0]),
             "MOST_CARRIED": st.sampled_from([1, 5, 2000]),
             "DIVIDED_AT_ONCE": st.sampled_from([1, 4, 15, 10**9]),
@@ -48,17 +47,21 @@ def has_same_division(mended, anew):
             "DIVIDED_IN_PAUSES": st.sampled_from([1, 7]),
         }
     ),
+    voxel_limits=st.fixed_dictionaries(
+        {"MOST_AT_ONCE": st.sampled_from([0, 5, 10**9]), "MOST_LISTED": st.sampled_from([0, 20, 10**9])}
+    ),
     settles=st.sampled_from([0.0, 0.3, 1.0]),
     puts_off=st.booleans(),
     is_restored=st.booleans(),
 )
 def test_a_mended_forest_is_the_one_that_is_solved_anew(
-    shape, level_count, seed, small, limits, settles, puts_off, is_restored
+    shape, level_count, seed, small, limits, voxel_limits, settles, puts_off, is_restored
 ):
     rng = np.random.default_rng(seed)
     tree = build_basin_tree(rng.integers(0, level_count, shape).astype(np.float32), *costs(shape, seed))
     painted = np.full(shape, UNMARKED, np.uint8)
-    with patch.multiple(module, **limits), patch.object(division, "SMALL_SHARE", small):
+    of_forest, of_voxels = patch.multiple(module, **limits), patch.multiple(voxel_labels, **voxel_limits)
+    with of_forest, of_voxels, patch.object(division, "SMALL_SHARE", small):
         mended = solve_forest(tree, painted)
         mended.puts_off = puts_off
         for label in rng.choice([0, 1, 2, UNMARKED], rng.integers(1, 10)).tolist():

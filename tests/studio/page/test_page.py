@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from heartcase.pipeline.building.session_file import open_session
-from heartcase.pipeline.watershed import forest
+from heartcase.pipeline.watershed import forest, voxel_labels
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.studio.page.browsing import BLOCK, FRAMES, SIZE, browsing, mm_of, pixel_of, until
 
@@ -163,7 +163,7 @@ def test_slices_that_are_shown_come_first_and_others_are_right_when_they_are_scr
     chromium, painted, monkeypatch
 ):
     # every stroke is one that changes more than is worked out at once, and basins are left behind
-    monkeypatch.setattr(forest, "MOST_AT_ONCE", 0)
+    monkeypatch.setattr(voxel_labels, "MOST_AT_ONCE", 0)
     monkeypatch.setattr(forest, "BEHIND_FROM", 0)
     monkeypatch.setattr(forest, "FEW_MARKED", 1.0)
     server, path, affine = painted
