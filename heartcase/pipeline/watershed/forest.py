@@ -41,7 +41,6 @@ from heartcase.schemas.arrays import Bool, Int16, Int64, UInt8
 
 __all__ = ["Box", "Forest", "solve_forest"]
 
-NO_FLAT = -1
 MOST_MENDED = 0.005
 """Share of the feet that a label is carried to, or that hang on erased markers, at most; with more, solving anew is
 quicker."""
