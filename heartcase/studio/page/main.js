@@ -14,6 +14,7 @@ import { Seen } from "./pictures/seen.js";
 import { NoGraphics, Views } from "./pictures/views.js";
 import { TooLarge } from "./pictures/volume.js";
 import { Connection, Lost, Refused } from "./shared/connection.js";
+import { handFocusOn } from "./shared/focus.js";
 import { Studio } from "./shared/studio.js";
 import { fillWords, isWord, language, say } from "./shared/words.js";
 import { Brush } from "./tools/brush.js";
@@ -101,6 +102,7 @@ function run() {
   };
   const shortcuts = new Shortcuts(studio, views, pointers, brush, measures, actions);
   runToolbar(studio, actions);
+  handFocusOn(() => views.active.surface);
   runTiles(studio, views);
   runTabs((id) => {
     shaping.isOpen.value = id === "tab-shape";

@@ -281,6 +281,48 @@ def test_by_keys_alone_what_is_hidden_and_a_server_that_is_gone(chromium, operat
         assert tab.locator("#lost").is_hidden()
 
 
+def test_after_a_click_keys_are_the_pages_and_by_keys_a_button_keeps_them(chromium, operated):
+    with browsing(chromium, operated) as page:
+        hands, tab = Hands(page), page.tab
+
+        def focused():
+            return tab.evaluate("() => document.activeElement.id")
+
+        def space_changes(mode):
+            tab.keyboard.press("Space")
+            hands.until(lambda header: header["mode"] == {"running": "paused", "paused": "running"}[mode])
+
+        buttons = ("#tab-forces", "#tools button[data-key=g]", "#record", "#cut-open", "#reset-view")
+        for number, button in enumerate(buttons):
+            tab.locator(button).click()
+            assert focused() == "scene", button
+            space_changes("paused" if number % 2 else "running")
+        # home is the view from the start
+        first = tab.evaluate(f"async () => {OPEN}.picture.camera.towards")
+        tab.keyboard.press("ArrowLeft")
+        assert tab.evaluate(f"async () => {OPEN}.picture.camera.towards") != first
+        tab.locator("#tab-view").click()
+        tab.keyboard.press("Home")
+        assert tab.evaluate(f"async () => {OPEN}.picture.camera.towards") == first
+        # the second view is gone on with where it was used last
+        tab.locator("#two-views").click()
+        tab.locator("#scene-2").focus()
+        tab.locator("#tab-help").click()
+        assert focused() == "scene-2"
+        # a slider has no use for the space bar
+        tab.locator("#time").focus()
+        space_changes("paused")
+        # by keys a button is pressed, and keeps the focus
+        tab.locator("#cut-open").focus()
+        pressed = tab.locator("#cut-open").get_attribute("aria-pressed")
+        tab.keyboard.press("Space")
+        assert tab.locator("#cut-open").get_attribute("aria-pressed") != pressed
+        assert focused() == "cut-open"
+        tab.locator("#tab-help").focus()
+        tab.keyboard.press("ArrowLeft")
+        assert focused() == "tab-recordings"
+
+
 def test_the_graphics_card_places_vertices_as_the_server_does(chromium, operated):
     """Curved everywhere, oblique, on nodes that were moved at random: against the surface that Python works out."""
     case = load_case(operated.recipe, needs=("surface", "structures"), curvature="all")

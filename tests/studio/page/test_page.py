@@ -255,6 +255,28 @@ def test_by_keys_alone(chromium, painted):
         page.saved(1)
 
 
+def test_after_a_click_keys_are_the_slices_and_by_keys_a_button_keeps_them(chromium, painted):
+    server, _, _ = painted
+    with browsing(chromium, server) as page:
+        tab = page.tab
+        surface = "() => document.activeElement.closest('.tile')?.id + document.activeElement.className"
+        for button in ("#tab-structures", "button[data-tool=pointer]", "#fit", "#tab-build"):
+            tab.locator("#coronal .surface").focus()
+            tab.locator(button).click()
+            assert tab.evaluate(surface) == "coronalsurface", button
+        # the space bar changes tools, and presses nothing again
+        tab.keyboard.press("Space")
+        assert tab.locator("button[data-tool=brush]").get_attribute("aria-pressed") == "true"
+        # what a click opens keeps the focus
+        tab.locator("#case-name").click()
+        assert tab.evaluate("() => document.activeElement.id") == "case-rename"
+        tab.keyboard.press("Escape")
+        tab.locator("button[data-tool=ruler]").focus()
+        tab.keyboard.press("Space")
+        assert tab.locator("button[data-tool=ruler]").get_attribute("aria-pressed") == "true"
+        assert tab.evaluate("() => document.activeElement.dataset.tool") == "ruler"
+
+
 def test_keys_that_are_switched_off_do_nothing(chromium, painted):
     server, path, _ = painted
     with browsing(chromium, server) as page:

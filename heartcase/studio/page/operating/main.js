@@ -10,6 +10,7 @@ import { runTabs } from "../panel/tiles.js";
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme, runWords, tellLost } from "../shared/looks.js";
+import { handFocusOn } from "../shared/focus.js";
 import { keep, kept } from "../shared/settings.js";
 import { figure, language, say, showNotice } from "../shared/words.js";
 import { SceneShower } from "../touring/scene.js";
@@ -279,10 +280,7 @@ function run() {
     ["notice-close", () => notice("", [])],
   ];
   for (const [id, does] of clicks) find(id).addEventListener("click", does);
-  // by mouse one goes on over the heart, where keys such as the space bar are the page's
-  for (const id of ["undo", "redo", "let-go", "let-go-all", "hold-last", "tie", "back", "pause", "play"]) {
-    find(id).addEventListener("click", (event) => event.detail > 0 && find("scene").focus({ preventScroll: true }));
-  }
+  handFocusOn(() => find(pointer === pointers[1] && second.isShown ? "scene-2" : "scene"));
   const speed = /** @type {HTMLSelectElement} */ (find("speed"));
   fillSpeeds(speed);
   speed.addEventListener("change", () => {
@@ -322,7 +320,8 @@ function run() {
     }
     if (!keysAreOn || event.altKey) return;
     // a button or a slider keeps the keys that it has a use for
-    if (!isInScene && target !== document.body && [" ", "enter", "home", "end"].includes(key)) return;
+    const isKept = key === " " ? !target.matches("input[type=range]") : ["enter", "home", "end"].includes(key);
+    if (!isInScene && target !== document.body && isKept) return;
     const does = keyAction(key);
     if (does === null) return;
     event.preventDefault();
