@@ -78,7 +78,7 @@ function run() {
     status.clear();
     connection.ask({ do: "lock", label, locked }).catch((error) => fault(error));
   });
-  const parts = { place: find("place"), right: find("place-right"), checklist: find("checklist"), heading: find("checklist-heading") };
+  const parts = { place: find("place"), right: find("place-right"), wrong: find("place-wrong"), checklist: find("checklist"), heading: find("checklist-heading") };
   const guide = new Guide(studio, views, (request) => connection.ask(request), parts, (error) => fault(error));
 
   const askStep = (/** @type {{do: "undo" | "redo"}} */ request) => {
@@ -91,6 +91,7 @@ function run() {
     redo: () => steps.take("redo"),
     nextPlace: () => void guide.next(),
     placeRight: () => void guide.confirm(),
+    placeWrong: () => guide.paint(),
     fit: () => views.fit(),
     shape: () => find("tab-shape").click(),
     removeShape: () => {

@@ -16,6 +16,7 @@ class Node {
 }
 globalThis.document = { createElement: () => new Node() };
 const { Contacts } = await import("../../../heartcase/studio/page/building/contacts.js");
+const { wallLabel } = await import("../../../heartcase/studio/page/panel/paint_here.js");
 const { Signal } = await import("../../../heartcase/studio/page/shared/signal.js");
 const { say } = await import("../../../heartcase/studio/page/shared/words.js");
 
@@ -101,4 +102,30 @@ test("a wall against the outside: one button, then what was asked for", () => {
   assert.deepEqual(contacts.wallActs("RV"), []);
   walls(0, true);
   assert.deepEqual(contacts.wallActs("LV"), []);
+});
+
+test("an opening that may be wall: painted there with the muscle of its ventricle", () => {
+  const labels = [
+    { value: 0, name: "background", role: "background" },
+    { value: 1, name: "morphologically left ventricle", role: "blood" },
+    { value: 9, name: "morphologically left ventricular myocardium", role: "myocardium" },
+    { value: 10, name: "morphologically right ventricular myocardium", role: "myocardium" },
+  ];
+  assert.equal(wallLabel(labels, ["right atrium", "morphologically right ventricle"]), 10);
+  assert.equal(wallLabel(labels, ["morphologically right ventricle", "morphologically left ventricle"]), 9);
+  assert.equal(wallLabel(labels, ["left atrium", "right atrium"]), 0);
+  assert.equal(wallLabel(labels.slice(0, 3), ["morphologically right ventricle", "pulmonary artery"]), 9);
+  assert.equal(wallLabel(labels, ["left atrium"]), null);
+  assert.equal(wallLabel(labels.slice(0, 3), ["cavity"]), 9);
+  const shape = new Signal({ lines: { "walls.contact": [], "walls.septum": [] }, walls: [{ label: "RV", term: null, wall_thickness_mm: 0, has_table: false }] });
+  const painted = [];
+  const contacts = new Contacts({ shape }, () => Promise.resolve({ url: "" }), (between) => (mm) => painted.push([between, mm]));
+  const opening = { between: ["aorta", "right ventricle"], area_mm2: 30, center_mm: [1, 2, 3], reach_mm: 4 };
+  const words = (verdict) => contacts.openingActs({ ...opening, verdict }).slice(1).map(({ textContent }) => textContent);
+  assert.deepEqual(words("other ventricle"), [say("contact_real"), say("contact_paint")]);
+  assert.deepEqual(words("unexpected"), [say("contact_real"), say("contact_grow"), say("contact_paint")]);
+  contacts.openingActs({ ...opening, verdict: "other ventricle" }).at(-1).act({ detail: 1 });
+  const [, outer] = contacts.wallActs("RV", () => [4, 5, 6]);
+  outer.act({ detail: 1 });
+  assert.deepEqual(painted, [[opening.between, [1, 2, 3]], [["RV"], [4, 5, 6]]]);
 });

@@ -393,6 +393,13 @@ def test_volumes_the_checklist_and_the_next_place(chromium, painted):
             mm = found[0].position_mm
             for value, sides in zip(mm, ("LR", "PA", "HF"), strict=True):
                 assert f"{sides[0] if value >= 0 else sides[1]} {abs(value):.1f}" in position
+            # it is wrong: what it is instead is in hand, there
+            wrong = page.tab.locator("#place-wrong")
+            rival = next(one for one in session.table if one.value == found[0].rival).name
+            assert rival in wrong.inner_text().lower()
+            wrong.click()
+            assert rival in page.tab.locator("#structures .structure.picked").inner_text().lower()
+            assert page.tab.locator("button[data-tool=brush]").get_attribute("aria-pressed") == "true"
             # it is right: on to the next, and this one does not come again
             page.tab.keyboard.press("r")
             until(lambda: next(path.parent.rglob("*.right.json"), None) is not None)

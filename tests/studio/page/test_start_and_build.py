@@ -154,6 +154,14 @@ def test_a_build_shows_its_stages_and_its_warnings_lead_to_their_places(page, fo
         shown = page.text("#under")
         assert named[0] in " ".join(shown.split())
         assert row.locator("input").is_checked(), row.inner_text()
+    # where muscle is missing it is painted, at the place that was looked at last
+    tab.locator("#build-warnings").get_by_text("Paint the missing muscle here").first.click()
+    assert tab.locator("#tab-structures").get_attribute("aria-selected") == "true"
+    assert tab.locator("button[data-tool=brush]").get_attribute("aria-pressed") == "true"
+    assert "muscle" in tab.locator("#structures .structure.picked").inner_text()
+    assert page.text("#radius-words") == "1.5 mm"
+    assert tab.evaluate("() => document.activeElement.className") == "surface"
+    tab.locator("#tab-build").click()
     assert "cavity" in page.text("#volume-rows")
     assert_accessible(page, "built")
     # approved only once the report was opened, and all was looked at

@@ -1,10 +1,11 @@
 /** The tab that builds: stages, time left, what is reused; then what came of it. */
 
+import { paintHere, wallLabel } from "../panel/paint_here.js";
 import { element } from "../panel/structures.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 import { Approval } from "./approval.js";
-import { Contacts } from "./contacts.js";
+import { Contacts, WALL_MM } from "./contacts.js";
 import { Results } from "./results.js";
 
 /** @typedef {import("../shared/connection.js").Problem} Problem */
@@ -49,7 +50,10 @@ export class BuildTab {
    */
   constructor(studio, views, shaping, ask, onFault) {
     this.onFault = onFault;
-    this.contacts = new Contacts(shaping, ask);
+    this.contacts = new Contacts(shaping, ask, (between) => {
+      const value = wallLabel(studio.labels.value, between);
+      return value === null ? null : (mm) => paintHere(studio, views, { value, mm, mostMm: WALL_MM });
+    });
     this.results = new Results(studio, views, this.contacts);
     this.approval = new Approval((request) => this.#ask(request), this.results);
     const url = new URL(location.pathname.replace("/prepare/", "/building/"), location.href);

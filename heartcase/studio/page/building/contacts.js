@@ -14,7 +14,7 @@ import { figure, say, structureName } from "../shared/words.js";
 /** So much farther than the place itself a statement reaches: the rim of a voxel. */
 const BEYOND_MM = 1;
 /** Thickness of a wall that is grown where the page was told that one belongs there; it can be changed in Shape. */
-const WALL_MM = 1.5;
+export const WALL_MM = 1.5;
 
 export class Contacts {
   /** Pictures that were drawn, by their place. @type {Map<string, Promise<string>>} */
@@ -29,10 +29,12 @@ export class Contacts {
   /**
    * @param {Shaping} shaping
    * @param {import("../shaping/shaping.js").Ask} ask
+   * @param {(between: readonly string[]) => ((mm: Vector) => void) | null} painting what leads to painting the wall between two structures at a place; null where nothing does
    */
-  constructor(shaping, ask) {
+  constructor(shaping, ask, painting = () => null) {
     this.shaping = shaping;
     this.ask = ask;
+    this.painting = painting;
     shaping.shape.listen((shape) => {
       const said = JSON.stringify([shape?.lines["walls.contact"], shape?.lines["walls.septum"], shape?.walls]);
       const before = this.#saidNow;
@@ -87,16 +89,18 @@ export class Contacts {
   /**
    * What can be done about blood that is open to the outside: a wall where no muscle is, or what was asked for already.
    * @param {string | undefined} label
+   * @param {() => Vector} [place] which one is looked at, where it has one
    * @returns {HTMLElement[]}
    */
-  wallActs(label) {
+  wallActs(label, place) {
     const wall = this.shaping.shape.value?.walls.find((one) => one.label === label);
     if (wall === undefined || wall.has_table) return [];
     if (wall.wall_thickness_mm > 0) {
       const words = say("contact_walled", { mm: figure(wall.wall_thickness_mm, 1) });
       return [element("span", "said", `${words} ${say("contact_build")}`)];
     }
-    return [button("contact_outer_wall", () => void this.shaping.set(["labels", wall.label, "wall_thickness_mm"], WALL_MM))];
+    const grow = button("contact_outer_wall", () => void this.shaping.set(["labels", wall.label, "wall_thickness_mm"], WALL_MM));
+    return [grow, ...(place ? this.#paint("contact_paint_outer", [wall.label], place) : [])];
   }
 
   /** @param {() => void} onFly */
@@ -126,11 +130,18 @@ export class Contacts {
     if (state === "unexpected" && this.#isApart(place)) return [element("span", "said", `${say("contact_apart")} ${say("contact_build")}`)];
     const real = button("contact_real", () => void this.#say(place, true));
     const before = isUnfit ? [element("span", "said", say("contact_unfit"))] : [];
-    if (state === "odd") return [...before, real];
+    const paint = this.#paint("contact_paint", place.between, () => place.center_mm);
+    if (state === "odd") return [...before, real, ...paint];
     const wall = state === "unexpected"
       ? button("contact_grow", () => void this.shaping.add("walls.septum", [{ between: place.between, thickness_mm: WALL_MM }]))
       : button("contact_is_wall", () => void this.#say(place, false));
-    return [...before, real, wall];
+    return [...before, real, wall, ...(state === "unexpected" ? paint : [])];
+  }
+
+  /** A button that leads to painting the wall. @param {"contact_paint" | "contact_paint_outer"} word @param {readonly string[]} between @param {() => Vector} place */
+  #paint(word, between, place) {
+    const act = this.painting(between);
+    return act === null ? [] : [button(word, () => act(place()))];
   }
 
   /** @param {Place} place @param {boolean} isOpen */

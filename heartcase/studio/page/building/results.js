@@ -134,7 +134,7 @@ export class Results {
     } else line.append(element("span", "soft", say("build_no_place")));
     if (grade !== "note") line.append(this.#seenBox(seen, text));
     row.append(line);
-    const walls = code === "open-to-outside" ? this.contacts.wallActs(warning.parts.label) : [];
+    const walls = code === "open-to-outside" ? this.contacts.wallActs(warning.parts.label, places.length > 0 ? () => places[this.#at.get(text) ?? 0] : undefined) : [];
     if (walls.length > 0) {
       const acts = element("div", "where");
       acts.append(...walls);

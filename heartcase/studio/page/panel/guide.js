@@ -1,6 +1,7 @@
 /** What to do next: the place where one more stroke is worth most, and the list of what is still missing. */
 
 import { figure, isWord, language, say, structureName } from "../shared/words.js";
+import { paintHere } from "./paint_here.js";
 import { element } from "./structures.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
@@ -43,7 +44,7 @@ export class Guide {
    * @param {Studio} studio
    * @param {Views} views
    * @param {(request: Record<string, unknown> & {do: string}) => Promise<Record<string, any>>} ask
-   * @param {{place: HTMLElement, right: HTMLElement, checklist: HTMLElement, heading: HTMLElement}} parts
+   * @param {{place: HTMLElement, right: HTMLElement, wrong: HTMLElement, checklist: HTMLElement, heading: HTMLElement}} parts
    * @param {(error: unknown) => void} onFault
    */
   constructor(studio, views, ask, parts, onFault) {
@@ -53,6 +54,7 @@ export class Guide {
     this.parts = parts;
     this.onFault = onFault;
     parts.right.addEventListener("click", () => void this.confirm());
+    parts.wrong.addEventListener("click", () => this.paint());
     language.listen(() => {
       this.#showItems();
       this.#showPlace();
@@ -112,6 +114,20 @@ export class Guide {
     if (hadFocus) (right.hidden ? document.getElementById("next-place") : right)?.focus();
   }
 
+  /** The place that is shown is the other structure: that one is picked, with a brush that fits. */
+  paint() {
+    const shown = this.#places?.[this.#at];
+    const rival = this.#rivalOf(shown);
+    if (!shown || !rival || !this.studio.ready.value) return;
+    // below what the place is wide
+    paintHere(this.studio, this.views, { value: rival.value, mm: shown.position_mm, mostMm: shown.radius_mm - 0.1 });
+  }
+
+  /** @param {Place | undefined} place */
+  #rivalOf(place) {
+    return this.studio.labels.value.find(({ name }) => name === place?.rival);
+  }
+
   /** How far each structure is. @param {Record<string, string>} states */
   tellStates(states) {
     this.#states = states;
@@ -139,8 +155,11 @@ export class Guide {
   }
 
   #showPlace() {
-    const { place, right } = this.parts;
+    const { place, right, wrong } = this.parts;
+    const rival = this.#rivalOf(this.#places?.[this.#at]);
     right.hidden = !this.#places?.[this.#at];
+    wrong.hidden = rival === undefined;
+    wrong.textContent = rival ? say("place_wrong", { label: structureName(rival.name) }) : "";
     if (this.#places === null) {
       place.textContent = "";
       return;

@@ -9,7 +9,7 @@ import { Signal } from "../shared/signal.js";
 /** @typedef {import("./brush.js").Brush} Brush */
 /** @typedef {import("./measures.js").Measures} Measures */
 /** @typedef {import("../shared/words.js").Word} Word */
-/** @typedef {{undo: () => void, redo: () => void, nextPlace: () => void, placeRight: () => void, shape: () => void, removeShape: () => boolean}} Actions */
+/** @typedef {{undo: () => void, redo: () => void, nextPlace: () => void, placeRight: () => void, placeWrong: () => void, shape: () => void, removeShape: () => boolean}} Actions */
 
 /** Held longer than this, the space bar was not tapped. */
 const TAP_MS = 350;
@@ -27,6 +27,7 @@ export const HELP = [
   ["Space", "help_space"],
   ["N", "help_next"],
   ["R", "help_right"],
+  ["W", "help_wrong"],
   ["M  A", "help_measure"],
   ["S", "help_shape"],
   ["Delete", "help_delete"],
@@ -131,6 +132,7 @@ export class Shortcuts {
     else if (key === "y") this.actions.redo();
     else if (key === "n") this.actions.nextPlace();
     else if (key === "r") this.actions.placeRight();
+    else if (key === "w") this.actions.placeWrong();
     else if (key === "[" || key === ",") studio.resizeBrush(-1);
     else if (key === "]" || key === ".") studio.resizeBrush(1);
     else if (key === "j" || key === "k") this.views.turnStep(key === "j" ? -1 : 1);

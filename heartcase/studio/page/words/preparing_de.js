@@ -4,6 +4,8 @@
 export const words = {
   place_right: "Es stimmt (R)",
   help_right: "Die gezeigte Stelle stimmt: weiter zur nächsten",
+  place_wrong: "Nein: hier {label} malen (W)",
+  help_wrong: "Die gezeigte Stelle stimmt nicht: malen, was es ist",
   end_lumen: "Lumen ⌀ {lumen} mm, Scheibe ⌀ {disc}",
   end_narrow: "Lumen ⌀ über {lumen} mm: Scheibe (⌀ {disc}) zu eng",
   end_beside: "nicht im Gefäß, Scheibe {disc} mm",
@@ -30,6 +32,8 @@ export const words = {
   contact_real: "Es ist ein echter Defekt: offen lassen",
   contact_is_wall: "Es ist Wand",
   contact_grow: "Es ist Wand: ergänzen",
+  contact_paint: "Es ist Wand: hier malen",
+  contact_paint_outer: "Den fehlenden Muskel hier malen",
   contact_back: "Zurücknehmen",
   contact_said_open: "Ein echter Defekt, sagt das Rezept.",
   contact_said_wall: "Wand, sagt das Rezept.",

@@ -3,6 +3,8 @@
 export const words = {
   place_right: "It is right (R)",
   help_right: "The place that is shown is right: on to the next one",
+  place_wrong: "No: paint {label} here (W)",
+  help_wrong: "The place that is shown is wrong: paint what it is",
   end_lumen: "lumen ⌀ {lumen} mm, disc ⌀ {disc}",
   end_narrow: "lumen ⌀ over {lumen} mm: the disc (⌀ {disc}) is too narrow",
   end_beside: "not in the vessel, disc {disc} mm",
@@ -29,6 +31,8 @@ export const words = {
   contact_real: "It is a real defect: keep it open",
   contact_is_wall: "It is wall",
   contact_grow: "It is wall: grow one",
+  contact_paint: "It is wall: paint it here",
+  contact_paint_outer: "Paint the missing muscle here",
   contact_back: "Take back",
   contact_said_open: "A real defect, says the recipe.",
   contact_said_wall: "Wall, says the recipe.",
