@@ -16,12 +16,13 @@ from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.surface.deform import SurfaceModel, deform
 
-__all__ = ["ActMarks", "CutsDone", "Kept", "Moment"]
+__all__ = ["MARKED", "ActMarks", "CutsDone", "Kept", "Moment"]
 
 _ACTS = get_args(Act)
-_MARKED: dict[type, str] = {
+MARKED: dict[type, str] = {
     Cut: "cut", Snip: "cut", PlacePatch: "patch", PlaceStitch: "stitch", PlaceRow: "stitch",
 }  # fmt: skip
+"""Acts that one wants to find again, and what they are called."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +91,12 @@ class ActMarks:
     def note(self, session: OperatingSession) -> None:
         """Take in what the session knows now."""
         entries = session.entries
-        places = entries.places_of(tuple(_MARKED))
+        places = entries.places_of(tuple(MARKED))
         key = tuple(entries.origin(at) for at in places)
         if key != self._key:
             self._key = key
             found = [entries[at] for at in places]
-            self.marks = tuple((one.step, _MARKED[type(one.command)]) for one in found)
+            self.marks = tuple((one.step, MARKED[type(one.command)]) for one in found)
 
 
 class Kept:

@@ -143,6 +143,11 @@ class Hands:
         self.forget()
         self.live.do(Redo())
 
+    def take_up(self, branch: int) -> None:
+        """Go back to where a branch begins, as :meth:`heartcase.simulator.live.live.Live.take_up` does."""
+        self.forget()
+        self.live.take_up(branch)
+
     def rewind(self) -> None:
         """Go back a little."""
         self.forget()

@@ -168,8 +168,22 @@ class Live:
         self._ask([lambda: self._goals.set(command, speed_mm_s)])
 
     def pause(self, is_paused: bool) -> None:
-        """Let time stand, or go on from here: then what was known ahead is dropped by the next steps."""
+        """Let time stand, or go on from here: then what was known ahead is a branch after the next steps."""
         self._ask([lambda: self._set_mode("paused" if is_paused else "running")])
+
+    def take_up(self, branch: int) -> None:
+        """Go back to where a branch begins, with what it holds known ahead, and let time stand there.
+
+        Parameters
+        ----------
+        branch
+            Its number.
+        """
+        self._ask([lambda: self._take_up(branch)])
+
+    def forget_ahead(self) -> None:
+        """Drop what is known from here on for good."""
+        self._ask([self.session.forget_ahead])
 
     def play(self, speed: float = 1.0) -> None:
         """Do again what is known from here on, and then pause; an act takes over.
@@ -344,6 +358,11 @@ class Live:
             self.session.do(one)
             self._set_mode("running")
 
+    def _take_up(self, branch: int) -> None:
+        self._goals.drop()
+        self._set_mode("paused")
+        self.session.take_up(branch)
+
     def _set_mode(self, mode: str) -> None:
         if mode != self._mode:
             self._past.clear()
@@ -458,4 +477,5 @@ class Live:
             cuts=self._cuts_done.cuts,
             unheld=self._cuts_done.unheld,
             marks=self._act_marks.marks,
+            branches=self.session.branches,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from heartcase.schemas.arrays import Float64, Int32
+from heartcase.schemas.recording.branches import Branch
 from heartcase.schemas.recording.commands import Cut
 from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.live.cuts_done import Moment
@@ -52,6 +53,8 @@ class LiveFrame:
     """The surface when it was last seen cut with no instrument in it; None where it was not seen so."""
     marks: tuple[tuple[int, str], ...] = ()
     """Steps of cuts, patches and stitches that are known, and what each is; the same object while they are the same."""
+    branches: tuple[Branch, ...] = ()
+    """What was left when the session went on another way, the latest first; the same object while they are the same."""
 
 
 def moment_of(session: OperatingSession, frame: Frame | None = None) -> LiveFrame:

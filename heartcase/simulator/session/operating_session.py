@@ -13,6 +13,7 @@ from typing import Protocol, get_args
 
 from heartcase.schemas.arguments import finite_number, whole_number
 from heartcase.schemas.errors import RecordingError, SimulationError
+from heartcase.schemas.recording.branches import Branch, Branches
 from heartcase.schemas.recording.commands import (
     STEPS_MAX,
     Act,
@@ -93,7 +94,7 @@ class OperatingSession:
     """A simulation that is operated on: commands in, frames out, with a history.
 
     Clients give commands with :meth:`do`, which refuses by raising, or :meth:`take`, which tells what was refused in
-    the frame. Giving one after going back drops what had come after.
+    the frame. Giving one after going back leaves what had come after: it is kept as a branch, see :meth:`take_up`.
 
     ``entries`` are all that is known, ``position`` is how many of them are done, ``simulation`` is where that led, and
     ``deviations`` are where a session that repeats a recording did not come to what was stored.
@@ -126,6 +127,7 @@ class OperatingSession:
         self._shown_model = simulation.model
         self._changes: list[TopologyChange] = []
         self._coming = ComingBlades()
+        self._branches = Branches()
         self._refused: list[Refusal] = []
 
     @property
@@ -159,6 +161,11 @@ class OperatingSession:
         if self.position == len(self.entries):
             return self.step_count
         return self.entries[-1].end_step
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """What was left when the session went on another way, the latest first; not what a recording has."""
+        return self._branches.shown
 
     @property
     def marks(self) -> tuple[tuple[str, int], ...]:
@@ -425,9 +432,42 @@ class OperatingSession:
         return self._snapshots.at(position)
 
     def forget_ahead(self) -> None:
-        """Drop what is known from here on: what giving a command does."""
+        """Drop what is known from here on for good: it is no branch."""
         if self.position < len(self.entries):
+            self._branches.forget(self.position)
+            self._drop_ahead(self.step_count, keeps=False)
+
+    def take_up(self, number: int) -> None:
+        """Go back to where a branch begins; what it holds is known ahead from there, and to be done again.
+
+        What is known ahead now is left, and so a branch from here on.
+
+        Parameters
+        ----------
+        number
+            Of one of ``branches``.
+
+        Raises
+        ------
+        SimulationError
+            There is no such branch.
+        """
+        self.make_cuts(wait=True)
+        branch = self._branches.at(whole_number(number, "branch", error=SimulationError))
+        if branch.on is not None:
+            # its beginning lies on another one
+            self.take_up(branch.on)
+        position = branch.position
+        self._go_to(position)
+        if position < len(self.entries):
             self._drop_ahead(self.step_count)
+        self._branches.take(number)
+        for entry in branch.entries:
+            self.entries.append(entry)
+            if (log := self.log) is not None:
+                log.append(entry)
+        if (log := self.log) is not None:
+            log.go_to(position)
 
     def load_history(self, entries: Iterable[Entry], stored: StoredStates) -> None:
         """Take over what a recording holds as what is known; the session stays at its start.
@@ -451,7 +491,7 @@ class OperatingSession:
         self._compare()
 
     def _do_now(self, command: Done) -> None:
-        """Do a command that goes into the history; what was known behind it is dropped, if it is done."""
+        """Do a command that goes into the history; what was known behind it is left, if it is done."""
         command = resolved(self.simulation, command)
         step, snapshots = self.step_count, self._snapshots
         before = self.simulation.snapshot() if isinstance(command, _ACTS) and snapshots.wants_any else None
@@ -475,9 +515,11 @@ class OperatingSession:
             self._drop_ahead(step)
         self._write(Entry(step=step, command=command))
 
-    def _drop_ahead(self, step: int) -> None:
-        """Drop what is known from here on; where this is between the ends of a row, the row ends here, at this step."""
+    def _drop_ahead(self, step: int, *, keeps: bool = True) -> None:
+        """Leave what is known from here on; between the ends of a row, the row ends here, at this step."""
         part, self._on_the_way = self._on_the_way, None
+        if keeps:
+            self._branches.keep(self.entries, self.position, is_recorded=self.is_as_recorded)
         self.entries.drop_from(self.position)
         self._snapshots.forget_after(self.position)
         self._stored_end = min(self._stored_end, self.position)

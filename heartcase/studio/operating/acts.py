@@ -24,6 +24,7 @@ from heartcase.studio.operating.requests import (
     Resize,
     Run,
     Take,
+    TakeUp,
     Wheel,
 )
 from heartcase.studio.operating.stage import Stage
@@ -40,6 +41,7 @@ OwnAct = (
     | LetGo
     | Along
     | Run
+    | TakeUp
     | Play
     | Keep
     | Recordings
@@ -98,6 +100,8 @@ async def act(
             along.get(request.do, hands.put_down)()
         case Run():
             live.pause(request.paused)
+        case TakeUp():
+            hands.take_up(request.branch)
         case Play():
             hands.play(request.speed)
         case Keep(do="spare"):

@@ -41,6 +41,7 @@ __all__ = [
     "Slice",
     "Strain",
     "Take",
+    "TakeUp",
     "TourTo",
     "Tours",
     "Wheel",
@@ -157,6 +158,15 @@ class Run(_Asked):
     """Which request."""
     paused: bool
     """Whether it stands."""
+
+
+class TakeUp(_Asked):
+    """Go back to where a branch begins, with what it holds known ahead."""
+
+    do: Literal["take_up"]
+    """Which request."""
+    branch: Annotated[int, Field(ge=1, le=10**9)]
+    """Its number."""
 
 
 class Play(_Asked):
@@ -393,6 +403,7 @@ Request = (
     | LetGo
     | Along
     | Run
+    | TakeUp
     | Play
     | Keep
     | Recordings

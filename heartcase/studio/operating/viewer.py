@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from heartcase.schemas.arrays import Float64, Int32
+from heartcase.schemas.recording.branches import Branch
 from heartcase.simulator.background.device_hand import ShownDevice
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.live.cuts_done import MARKED
 from heartcase.simulator.live.hands import Hands
 from heartcase.simulator.live.live_frame import LiveFrame
 from heartcase.simulator.live.rays import CutPlane, Hit, Pointer, Ray, first_hit, first_hit_beside
@@ -54,12 +56,13 @@ class Viewer:
         self._plane: CutPlane | None = None
         self._figures: str | None = None
         self._marks: tuple[tuple[int, str], ...] | None = None
+        self._branches: tuple[Branch, ...] | None = None
         self._pickable: tuple[SurfaceModel, frozenset[int], Int32] | None = None
 
     def begin_anew(self) -> None:
         """The stage has another session now: nothing is in hand."""
         tool = self.hands.tool
-        self.hands, self._marks = Hands(self._stage.live), None
+        self.hands, self._marks, self._branches = Hands(self._stage.live), None, None
         if tool is not None:
             self.hands.take(tool.key)
             assert self.hands.tool is not None
@@ -162,6 +165,10 @@ class Viewer:
         header: dict[str, Any] = {"device": None if device is None else _told_device(device)}
         if newest.marks is not self._marks:
             self._marks = header["marks"] = newest.marks
+        if newest.branches is not self._branches:
+            self._branches = newest.branches
+            step_s = self._stage.live.session.simulation.step_s
+            header["branches"] = [_told_branch(one, step_s) for one in newest.branches]
         header["can_hold_open"] = bool(newest.cuts) and not is_held_open(newest)
         header |= {"frame": self._frame, "topology": self._topology} | described(newest)
         found.append(frame_message(header, rounded, self._sent, more))
@@ -188,7 +195,8 @@ class Viewer:
         if newest.frame.stitches or newest.frame.patches or shown.frame.instruments:
             return False
         is_same = all(
-            getattr(newest, name) == getattr(shown, name) for name in ("mode", "recording", "act_count", "ahead_s")
+            getattr(newest, name) == getattr(shown, name)
+            for name in ("mode", "recording", "act_count", "ahead_s", "branches")
         )
         is_same = is_same and newest.frame.coming_cuts == shown.frame.coming_cuts
         return is_same and rounded.scale == sent.scale and np.array_equal(rounded.steps, sent.steps)
@@ -211,6 +219,16 @@ def _told_device(device: ShownDevice) -> dict[str, Any]:
         "force_n": device.force_n.tolist(),
         "part": device.part,
         "holds": device.holds,
+    }
+
+
+def _told_branch(branch: Branch, step_s: float) -> dict[str, Any]:
+    marks = [MARKED[kind] for kind in branch.acts if kind in MARKED]
+    return {
+        "number": branch.number,
+        "start_s": branch.start_step * step_s,
+        "end_s": branch.end_step * step_s,
+        "marks": {kind: marks.count(kind) for kind in sorted(set(marks))},
     }
 
 

@@ -142,6 +142,8 @@ class Guide:
         _, step = found
         await self._asked(live, GoTo(step=step))
         await self._until(live, lambda: live.newest.frame.step == step and live.newest.mode == "paused")
+        # what a tour does comes again by itself
+        live.forget_ahead()
         live.pause(False)
 
     async def _do(self, live: Live, tour: ShownTour, number: int) -> None:

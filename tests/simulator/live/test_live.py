@@ -44,6 +44,40 @@ def played_again(path, case):
     return again
 
 
+def test_what_was_taken_back_is_a_branch_when_time_goes_on_and_is_known_again_when_it_is_taken_up(case, tmp_path):
+    live = live_on(case)
+    live.record(tmp_path / "a.recording")
+    live.do(CloseGrab(name="hand", center_mm=TOP, radius_mm=4.0))
+    for _ in range(5):
+        live.tick()
+    end, bytes_then = live.newest.frame.step, bytes_of(live.session.simulation)
+    live.do(Undo())
+    live.tick()
+    assert live.newest.branches == ()
+    live.pause(False)
+    live.tick()
+    (branch,) = live.newest.branches
+    assert live.newest.ahead_s == 0.0
+    live.take_up(branch.number)
+    live.tick()
+    assert live.newest.mode == "paused"
+    assert live.newest.branches == ()
+    live.session.go_to(end)
+    assert bytes_of(live.session.simulation) == bytes_then
+    # what there is none of is told
+    live.take_up(branch.number)
+    live.tick()
+    assert any("no such branch" in message for message in live.take_messages())
+    # what is dropped for good is no branch
+    live.do(Undo())
+    live.forget_ahead()
+    live.pause(False)
+    live.tick()
+    assert live.newest.branches == ()
+    live.close()
+    played_again(tmp_path / "a.recording", case)
+
+
 def test_a_hand_comes_to_where_it_was_led_by_ticks_and_the_recording_repeats(case, tmp_path):
     live = live_on(case)
     live.record(tmp_path / "a.recording")

@@ -14,6 +14,7 @@ from heartcase.schemas.errors import RecordingError, SimulationError
 from heartcase.schemas.recording.commands import (
     AddSprings,
     Advance,
+    BringProbe,
     CloseGrab,
     Cut,
     DrawStitch,
@@ -31,13 +32,18 @@ from heartcase.schemas.recording.commands import (
     parse_command,
 )
 from heartcase.schemas.recording.kept_entries import KeptEntries
+from heartcase.schemas.recording.reader import check_recording, open_recording
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.recorder import Recorder
+from heartcase.simulator.session.replay import load_session
 from heartcase.simulator.session.snapshots import Snapshots
 from heartcase.simulator.snapshot import Snapshot
-from tests.simulator.session.sessions import block_simulation, commands, fingerprint, operate
+from tests.simulator.session.sessions import block_model, block_simulation, commands, fingerprint, operate
 
 NAVIGATION = (Undo, Redo, Rewind, GoTo)
+INSIDE = (2.0, 4.0, 8.0)
+"""A place in the block, LPS mm."""
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
@@ -375,3 +381,97 @@ def test_what_is_given_and_is_no_command_or_no_number_is_refused_and_nothing_is_
     assert fingerprint(session.simulation) == before
     assert session.advance(np.int64(2)).step == 22
     assert session.take([], 2.0).step == 24
+
+
+def _done(session):
+    """Grabs, steps and a probe, with the fingerprint after each."""
+    session.do(CloseGrab(name="left", center_mm=INSIDE, radius_mm=3.0))
+    session.advance(10)
+    session.do(LeadGrab(name="left", offset_mm=(0.0, 0.0, 1.0)))
+    session.advance(10)
+    return fingerprint(session.simulation)
+
+
+def test_what_was_taken_back_is_a_branch_once_the_session_goes_on_another_way(tmp_path):
+    session = OperatingSession(block_simulation())
+    with Recorder(session, tmp_path / "a.recording"):
+        session.advance(10)
+        grabbed = _done(session)
+        session.undo()
+        assert session.branches == ()
+        # time that goes on leaves it
+        session.advance(5)
+        (branch,) = session.branches
+        assert (branch.start_step, branch.end_step, branch.acts) == (10, 30, (CloseGrab,))
+        session.do(Mark(name="elsewhere"))
+        session.advance(5)
+        elsewhere = fingerprint(session.simulation)
+        # another one that begins before it
+        session.go_to(4)
+        session.do(CloseGrab(name="right", center_mm=INSIDE, radius_mm=3.0))
+        session.advance(3)
+        righted = fingerprint(session.simulation)
+        assert [one.start_step for one in session.branches] == [10]
+        # it is known again, and comes to the same bytes; what was known is left in its place
+        session.take_up(branch.number)
+        assert (session.step_count, session.end_step) == (10, 30)
+        session.go_to(30)
+        assert fingerprint(session.simulation) == grabbed
+        (other,) = session.branches
+        assert (other.acts, other.end_step) == ((CloseGrab,), 7)
+        session.take_up(other.number)
+        session.go_to(7)
+        assert fingerprint(session.simulation) == righted
+        with pytest.raises(SimulationError, match="no such branch"):
+            session.take_up(other.number)
+        (branch,) = session.branches
+        session.take_up(branch.number)
+        session.go_to(30)
+        entries = list(session.entries)
+    # what was recorded is the history as it came to be
+    assert elsewhere not in (grabbed, righted)
+    recording = open_recording(tmp_path / "a.recording")
+    assert list(recording.entries) == entries
+    assert check_recording(tmp_path / "a.recording") == []
+    again = load_session(recording, block_model())
+    for _ in again.play():
+        pass
+    assert again.deviations == []
+    assert fingerprint(again.simulation) == grabbed
+    # a recording has what it holds: there is nothing to be kept
+    again.undo()
+    again.advance(1)
+    assert again.branches == ()
+
+
+@settings(max_examples=30, deadline=None)
+@given(data=st.data())
+def test_no_way_is_lost_and_each_comes_to_its_bytes(data):
+    """Going back and on at random: every end that was left is come to again by its branch."""
+    session = OperatingSession(
+        block_simulation(), snapshot_every_s=data.draw(st.sampled_from([0.0, 0.01, float("inf")]))
+    )
+    ends, left = {}, set()
+    for number in range(data.draw(st.integers(2, 6))):
+        last = _last_probe(session.entries)
+        session.go_to(data.draw(st.integers(0, session.end_step)))
+        if last != _last_probe(session.entries[: session.position]):
+            left.add(last)
+        session.do(BringProbe(name=str(number), center_mm=(0.0, 0.0, 90.0 + number), semi_axes_mm=(1.0, 1.0, 1.0)))
+        session.advance(data.draw(st.integers(1, 6)))
+        ends[number] = session.step_count, fingerprint(session.simulation)
+    left.add(_last_probe(session.entries))
+    found = {}
+    # the one that was left first, again and again: so each is taken up
+    for _ in range(2 * len(ends)):
+        session.go_to(session.end_step)
+        found[_last_probe(session.entries)] = session.step_count, fingerprint(session.simulation)
+        if session.branches:
+            session.take_up(session.branches[-1].number)
+    assert set(found) == left
+    for number in left:
+        assert found[number] == ends[number]
+
+
+def _last_probe(entries):
+    return max((int(one.command.name) for one in entries if isinstance(one.command, BringProbe)), default=-1)

@@ -323,6 +323,40 @@ def test_after_a_click_keys_are_the_pages_and_by_keys_a_button_keeps_them(chromi
         assert focused() == "tab-recordings"
 
 
+def test_what_was_taken_back_is_not_lost_when_time_goes_on(chromium, operated):
+    with browsing(chromium, operated) as page:
+        hands, tab = Hands(page), page.tab
+        hands.from_above()
+        tab.locator("#scene").focus()
+        tab.keyboard.press("c")
+        hands.drag((22.3, -20.0, 40.5), (22.3, -17.0, 40.5), (22.3, -13.0, 40.5), (22.3, -9.0, 40.5))
+        tab.mouse.up()
+        hands.until(lambda header: header["topology"] > 1 and header["act_count"] == 1)
+        tab.keyboard.press("u")
+        hands.until(lambda header: header["act_count"] == 0 and header["mode"] == "paused")
+        before = operated.live.newest.frame.step
+        known = hands.header()["end_s"]
+        assert tab.locator("#branches-part").is_hidden()
+        # time goes on: redo has nothing any more, and that is said
+        tab.keyboard.press("Space")
+        until(lambda: "is kept" in page.text("#notice-words"))
+        hands.until(lambda header: header["end_s"] == header["time_s"] and header["step"] > before + 10)
+        tab.locator("#tab-recordings").click()
+        row = tab.locator("#branches li")
+        assert row.count() == 1
+        assert "1 cut" in row.inner_text()
+        assert_accessible(page, "a branch")
+        # brought back it is ahead, and stands on the time line
+        row.locator("button").click()
+        header = hands.until(lambda header: header["mode"] == "paused" and header["step"] == before)
+        assert header["end_s"] == known
+        until(lambda: tab.locator("#time-marks .cut").count() == 1)
+        until(lambda: tab.locator("#branches-part").is_hidden())
+        tab.locator("#redo").click()
+        hands.until(lambda header: header["act_count"] == 1)
+        assert hands.shows(operated.live) < TOLERANCE_MM
+
+
 def test_the_graphics_card_places_vertices_as_the_server_does(chromium, operated):
     """Curved everywhere, oblique, on nodes that were moved at random: against the surface that Python works out."""
     case = load_case(operated.recipe, needs=("surface", "structures"), curvature="all")

@@ -16,6 +16,7 @@ import { figure, language, say, showNotice } from "../shared/words.js";
 import { SceneShower } from "../touring/scene.js";
 import { TourPanel } from "../touring/tour_panel.js";
 import { arraysOf } from "./messages.js";
+import { Branches } from "./branches.js";
 import { Panel } from "./panel.js";
 import { NoGraphics, Picture } from "./picture.js";
 import { Orientation } from "./orientation.js";
@@ -89,6 +90,14 @@ function run() {
       replay(one);
       beside.open(other, one);
     },
+  });
+  const branches = new Branches({
+    bringBack: (number) => {
+      forget();
+      notice("", [{ place: "", message: say("branch_brought_back") }]);
+      ask({ do: "take_up", branch: number });
+    },
+    left: () => notice("", [{ place: "", message: say("branch_left") }]),
   });
   const figures = new LiveFigures(ask);
   const device = new Device({ ask, look: () => picture.camera.at(picture.camera.width / 2, picture.camera.height / 2) });
@@ -379,6 +388,7 @@ function run() {
     isReady = true;
     figures.setPlanned(message.incisions);
     device.setNames(message.devices);
+    branches.begin();
     figures.begin();
     fillTools();
     paint();
@@ -435,6 +445,7 @@ function run() {
     const before = open.header;
     open.header = header;
     if (header.patches.length !== before?.patches.length) forgetLine();
+    if (header.branches) branches.show(header.branches);
     panel.showForces(header);
     device.show(header);
     beside.keepTogether();
