@@ -153,10 +153,10 @@ class Hands:
         self.forget()
         self.live.do(Rewind(seconds=REWIND_S))
 
-    def play(self, speed: float = 1.0) -> None:
-        """Do again what is known from here on, at a speed as in :meth:`heartcase.simulator.live.live.Live.play`."""
+    def play(self, speed: float = 1.0, *, skips: bool = False) -> None:
+        """Do again what is known from here on, as :meth:`heartcase.simulator.live.live.Live.play` does."""
         self.forget()
-        self.live.play(speed)
+        self.live.play(speed, skips=skips)
 
     def new_name(self, kind: str) -> str:
         """A name that no instrument, stitch, row or patch has yet."""

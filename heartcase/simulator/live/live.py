@@ -34,6 +34,7 @@ from heartcase.schemas.recording.commands import (
 from heartcase.simulator.live.cuts_done import ActMarks, CutsDone, Kept
 from heartcase.simulator.live.goals import SOFT_SPEED_MM_S, Goals, places_mm
 from heartcase.simulator.live.live_frame import LiveFrame, moment_of
+from heartcase.simulator.live.pauses import pause_end
 from heartcase.simulator.session.frame import Frame
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
@@ -106,6 +107,7 @@ class Live:
         self._recorder: Recorder | None = None
         self._played: Iterator[Frame] | None = None
         self.played_speed = 1.0
+        self._skips = False
         self._mode = "running"
         self._steps_most = frame_s / session.simulation.step_s
         self._ticked: float | None = None
@@ -185,15 +187,18 @@ class Live:
         """Drop what is known from here on for good."""
         self._ask([self.session.forget_ahead])
 
-    def play(self, speed: float = 1.0) -> None:
+    def play(self, speed: float = 1.0, *, skips: bool = False) -> None:
         """Do again what is known from here on, and then pause; an act takes over.
 
         Parameters
         ----------
         speed
             Simulated time for each time that goes by, above 0; where the machine is slower than that, as fast as it is.
+        skips
+            Whether stretches are passed over in which nothing is held or done for more than 2 s, all but half a second
+            at each end. What has no state stored on the way is stepped through, as fast as the machine can.
         """
-        self._ask([lambda: self._begin_to_play(speed)])
+        self._ask([lambda: self._begin_to_play(speed, skips)])
 
     def record(self, path: Path) -> None:
         """Record into a folder, from the session's start on, until :meth:`stop_recording` or :meth:`close`."""
@@ -369,15 +374,18 @@ class Live:
             self._ticked = None
         self._mode, self._played = mode, None
 
-    def _begin_to_play(self, speed: float) -> None:
+    def _begin_to_play(self, speed: float, skips: bool) -> None:
         self._goals.drop()
         self._set_mode("playing")
-        self.played_speed = speed
+        self.played_speed, self._skips = speed, skips
         self._played = self.session.play(surface=self._shows_surface)
 
     def _play_on(self) -> None:
         """Do again the next row of steps, in its own time over the speed."""
         assert self._played is not None
+        idle_end = pause_end(self.session) if self._skips else None
+        if idle_end is not None and self.session.skip_towards(idle_end):
+            self._past.clear()
         began, before = time.perf_counter(), self.session.step_count
         try:
             frame = next(self._played, None)
@@ -390,7 +398,7 @@ class Live:
         else:
             seconds = (self.session.step_count - before) * self.session.simulation.step_s
             spare = seconds / self.played_speed - (time.perf_counter() - began) - self._frame_s
-            if spare > 0.0:
+            if spare > 0.0 and idle_end is None:
                 time.sleep(min(spare, 1.0))
             self._measure()
         self._publish(frame)

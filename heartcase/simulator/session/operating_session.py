@@ -423,6 +423,24 @@ class OperatingSession:
             self.go_to(to_step)
             yield self.frame(surface=surface)
 
+    def skip_towards(self, position: int) -> bool:
+        """Go on towards where so many entries are done as far as a snapshot or a stored state leads, without a step.
+
+        Parameters
+        ----------
+        position
+            Entries that are done there; no more than are known.
+
+        Returns
+        -------
+        bool
+            Whether there was one: what comes next is the same, to the byte, as without this.
+        """
+        if self._on_the_way is not None or (found := self._snapshot_before(position)) <= self.position:
+            return False
+        self._go_to(found)
+        return True
+
     def snapshot_positions(self) -> frozenset[int]:
         """Places in the history, by the number of entries done, of which there is a snapshot."""
         return self._snapshots.positions

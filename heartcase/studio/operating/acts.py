@@ -103,7 +103,7 @@ async def act(
         case TakeUp():
             hands.take_up(request.branch)
         case Play():
-            hands.play(request.speed)
+            hands.play(request.speed, skips=request.skips)
         case Keep(do="spare"):
             stage.spare_a_processor()
         case Keep(do="record"):

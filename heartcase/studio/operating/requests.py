@@ -176,6 +176,8 @@ class Play(_Asked):
     """Which request."""
     speed: _Speed = 1.0
     """How fast."""
+    skips: bool = False
+    """Whether pauses are passed over."""
 
 
 class Keep(_Asked):
@@ -201,6 +203,8 @@ class Replay(_Asked):
     """One of the names that were given for it."""
     speed: _Speed = 1.0
     """How fast."""
+    skips: bool = False
+    """Whether pauses are passed over."""
 
 
 class Begin(_Asked):

@@ -151,8 +151,8 @@ class Stage:
         self.live.close()
         self.live = self._started(self._new_session())
 
-    def replay(self, name: str, speed: float = 1.0) -> None:
-        """Leave the session, and play a recording from its start, at a speed as in ``Live.play``.
+    def replay(self, name: str, speed: float = 1.0, *, skips: bool = False) -> None:
+        """Leave the session, and play a recording from its start; ``speed`` and ``skips`` are those of ``Live.play``.
 
         Raises
         ------
@@ -164,7 +164,7 @@ class Stage:
         session = load_session(recording, case.model, surface=case.surface, tissue=case.tissue)
         self.detach()
         self.live.close()
-        self.live = self._started(session, speed=speed)
+        self.live = self._started(session, speed=speed, skips=skips)
 
     def recordings(self) -> list[str]:
         """Names of the recordings that are there, the newest first."""
@@ -403,7 +403,7 @@ class Stage:
     def _new_session(self) -> OperatingSession:
         return OperatingSession(simulation_of_case(self._case))
 
-    def _started(self, session: OperatingSession, *, speed: float | None = None) -> Live:
+    def _started(self, session: OperatingSession, *, speed: float | None = None, skips: bool = False) -> Live:
         session.simulation.prepare()
         session.simulation.prepare_cuts()
         live = Live(
@@ -416,7 +416,7 @@ class Stage:
         if self._spares:
             live.spare_a_processor()
         if speed is not None:
-            live.play(speed)
+            live.play(speed, skips=skips)
         live.start()
         return live
 

@@ -296,7 +296,7 @@ class Theatre:
                 if replayed is None:
                     await self._run(newest.begin)
                 else:
-                    await self._run(lambda: newest.replay(replayed.name, replayed.speed))
+                    await self._run(lambda: newest.replay(replayed.name, replayed.speed, skips=replayed.skips))
                 self._show_begun(live)
             case Strain():
                 viewer.wants_strain = request.shown

@@ -24,6 +24,8 @@ from heartcase.schemas.recording.commands import (
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.live import live as live_module
 from heartcase.simulator.live.live import Live
+from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session
 from tests.simulator.live.scenes import bytes_of, live_on, load, threads, until
 
@@ -171,6 +173,47 @@ def test_what_is_played_more_slowly_takes_its_time_and_comes_to_the_same_bytes(c
     wanted = rows_s / speed - live_module.FRAME_S
     assert slept == pytest.approx(wanted[wanted > 0.0])
     assert bool(slept) == (speed < 1.0)
+    live.close()
+
+
+@pytest.mark.parametrize("stored_s", [1.0, 1e9])
+def test_pauses_are_passed_over_and_what_is_done_comes_to_the_same_bytes(case, tmp_path, monkeypatch, stored_s):
+    simulation = live_on(case).session.simulation
+    session, step_s = OperatingSession(simulation, snapshot_every_s=np.inf), simulation.step_s
+    second = round(1.0 / step_s)
+    with Recorder(session, tmp_path / "a.recording", case=case.manifest, state_every_s=stored_s):
+        for name, idle_s in (("first", 5.0), ("second", 1.5), ("third", 4.0)):
+            session.do(CloseGrab(name=name, center_mm=TOP, radius_mm=4.0))
+            session.do(LeadGrab(name=name, offset_mm=(0.0, 0.0, 3.0)))
+            # what is held is shown however long it is held
+            session.advance(3 * second if name == "second" else second // 4)
+            session.do(OpenGrab(name=name))
+            for _ in range(round(idle_s * 20)):
+                session.advance(second // 20)
+    end, acts = bytes_of(simulation), [one.step for one in session.entries if isinstance(one.command, CloseGrab)]
+    released = [one.step for one in session.entries if isinstance(one.command, OpenGrab)]
+    again = load_session(open_recording(tmp_path / "a.recording"), case.model, surface=case.surface, tissue=case.tissue)
+    live, slept = Live(again, manifest=case.manifest), []
+    monkeypatch.setattr(
+        live_module, "time", SimpleNamespace(perf_counter=lambda: 0.0, sleep=lambda s: slept.append(again.step_count))
+    )
+    live.play(0.5, skips=True)
+    shown = []
+    while live.newest.mode != "paused" or live.newest.ahead_s > 0.0:
+        live.tick()
+        shown.append(live.newest.frame.step)
+    assert bytes_of(again.simulation) == end
+    assert again.deviations == []
+    slept, shown = np.array(slept), np.array(shown)
+    for at, (start, stop) in enumerate(zip(released, [*acts[1:], session.end_step], strict=True)):
+        inside = (slept > start + 0.6 * second) & (slept < stop - 0.6 * second)
+        # a short one, and both ends of a long one, take their time
+        assert inside.any() == (at == 1)
+        assert ((slept > start) & (slept < start + 0.5 * second)).any()
+        assert ((slept > stop - 0.45 * second) & (slept < stop)).any()
+    # with states stored on the way nearly nothing of a pause is worked out
+    middle = (shown > released[0] + 0.6 * second) & (shown < acts[1] - 1.8 * second)
+    assert middle.any() == (stored_s > 10.0)
     live.close()
 
 

@@ -154,6 +154,10 @@ def test_a_story_by_mouse(chromium, operated):
         tab.locator("#recordings button").first.click()
         hands.until(lambda header: header["mode"] == "playing" and header["step"] < end)
         assert operated.live.played_speed == 0.25
+        # pauses are passed over, unless one wants to see them: at once, too
+        assert operated.live._skips
+        tab.locator("#skip-pauses").uncheck()
+        until(lambda: not operated.live._skips)
         # quicker at once
         tab.locator("#speed").select_option("4")
         until(lambda: operated.live.played_speed == 4.0)

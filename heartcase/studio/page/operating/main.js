@@ -87,7 +87,8 @@ function run() {
     ask,
     replay,
     sideBySide: ([one, other]) => {
-      replay(one);
+      // both keep one time: neither passes over a pause of its own
+      replay(one, false);
       beside.open(other, one);
     },
   });
@@ -161,14 +162,15 @@ function run() {
     surroundings.group.visible = surrounds.checked;
     picture.redraw();
   });
+  const skipPauses = /** @type {HTMLInputElement} */ (find("skip-pauses"));
   /** Whether a recording is being opened, and said so. */
   let isOpening = false;
-  /** @param {string} name */
-  function replay(name) {
+  /** @param {string} name @param {boolean} [skips] */
+  function replay(name, skips = skipPauses.checked) {
     forget();
     notice("", [{ place: "", message: say("recording_opening", { name }) }]);
     isOpening = true;
-    ask({ do: "replay", name, speed: beside.speed });
+    ask({ do: "replay", name, speed: beside.speed, skips });
   }
 
   function tellStretch() {
@@ -243,7 +245,7 @@ function run() {
     },
     redo: () => (forget(), ask({ do: "redo" })),
     back: () => (forget(), ask({ do: "back" })),
-    play: () => (forget(), ask({ do: "play", speed: beside.speed })),
+    play: () => (forget(), ask({ do: "play", speed: beside.speed, skips: skipPauses.checked && !beside.isOpen })),
     tie: () => ask({ do: "tie" }),
     putDown: () => (forget(), ask({ do: "put_down" })),
     /** @param {boolean} isPointed */
@@ -296,6 +298,7 @@ function run() {
     beside.speed = Number(speed.value);
     if (beside.mode === "playing") void actions.play();
   });
+  skipPauses.addEventListener("change", () => beside.mode === "playing" && void actions.play());
   const strain = /** @type {HTMLInputElement} */ (find("strain"));
   strain.addEventListener("change", () => {
     picture.heart.uniforms.showsStretch.value = strain.checked;

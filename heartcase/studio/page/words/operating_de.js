@@ -37,6 +37,7 @@ export const operating = {
   operate_holding: "Wird geöffnet …",
   operate_patched: "Der Patch ist angenäht: {count} Stiche, {area} mm².",
   operate_undone: "Zurückgenommen und angehalten. Wiederholen holt es zurück. Geht es anders weiter, bleibt es unter „Aufnahmen“ erhalten.",
+  operate_skip_pauses: "Pausen überspringen",
   branches: "Verlassene Verläufe",
   branches_says: "Was in dieser Sitzung zurückgenommen wurde, bevor es anders weiterging. Zurückgeholt liegt es auf der Zeitleiste wieder voraus und kann wiederholt werden; was jetzt dort liegt, bleibt dafür hier erhalten.",
   branch_left: "Was zurückgenommen war, bleibt erhalten: Unter „Aufnahmen“ lässt es sich zurückholen.",

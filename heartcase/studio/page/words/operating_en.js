@@ -37,6 +37,7 @@ export const operating = {
   operate_holding: "Opening …",
   operate_patched: "The patch is sewn on: {count} stitches, {area} mm².",
   operate_undone: "Taken back, and paused. Redo brings it back. If you go on another way, it is kept under Recordings.",
+  operate_skip_pauses: "Skip pauses",
   branches: "Branches that were left",
   branches_says: "What was taken back before time went on another way, in this session. Brought back, it is ahead on the time line, to be done again; what is there now is kept here instead.",
   branch_left: "What was taken back is kept: bring it back under Recordings.",
