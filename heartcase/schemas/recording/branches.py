@@ -9,7 +9,10 @@ from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.recording.commands import Act, Advance, Done, Halt, Mark
 from heartcase.schemas.recording.kept_entries import KeptEntries
 
-__all__ = ["Branch", "Branches"]
+__all__ = ["MOST_BRANCHES", "Branch", "Branches"]
+
+MOST_BRANCHES = 20
+"""The oldest ones go first, but for those that others lie on."""
 
 _DONE_BY_HAND = tuple(kind for kind in get_args(Done) if kind not in (Advance, Halt, Mark))
 """What would be missed; time that goes by, and its marks, come again by themselves."""
@@ -62,6 +65,9 @@ class Branches:
         self._known[made.number] = made
         for one in later:
             self._known[one.number] = replace(one, on=made.number)
+        while len(self._known) > MOST_BRANCHES:
+            bearing = {one.on for one in self._known.values()}
+            del self._known[min(number for number in self._known if number not in bearing)]
         self._tell()
 
     def forget(self, position: int) -> None:

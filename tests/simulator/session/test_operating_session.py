@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from heartcase.schemas.errors import RecordingError, SimulationError
+from heartcase.schemas.recording.branches import MOST_BRANCHES
 from heartcase.schemas.recording.commands import (
     AddSprings,
     Advance,
@@ -471,6 +473,24 @@ def test_no_way_is_lost_and_each_comes_to_its_bytes(data):
     assert set(found) == left
     for number in left:
         assert found[number] == ends[number]
+
+
+@pytest.mark.parametrize("undone_most", [1, 3])
+def test_of_many_ways_the_latest_are_kept(undone_most):
+    """Taken back again and again; with three at once branches lie on each other."""
+    session, drawn = OperatingSession(block_simulation()), random.Random(1)
+    for number in range(3 * MOST_BRANCHES):
+        session.do(BringProbe(name=str(number), center_mm=(0.0, 0.0, 90.0 + number), semi_axes_mm=(1.0, 1.0, 1.0)))
+        session.advance(1)
+        for _ in range(min(drawn.randint(1, undone_most), len(session.simulation.instruments))):
+            session.undo()
+    numbers = [one.number for one in session.branches]
+    assert 0.5 * MOST_BRANCHES < len(numbers) <= MOST_BRANCHES
+    assert numbers == sorted(numbers, reverse=True)
+    for one in numbers:
+        if one in {branch.number for branch in session.branches}:
+            session.take_up(one)
+            session.go_to(session.end_step)
 
 
 def _last_probe(entries):
