@@ -542,15 +542,16 @@ class OperatingSession:
         self._snapshots.forget_after(self.position)
         self._stored_end = min(self._stored_end, self.position)
         if part is not None:
-            self._write(Entry(step=step - part.steps, command=part))
+            # the simulation may be beyond its end already: there is no state of that to keep
+            self._write(Entry(step=step - part.steps, command=part), keeps_state=False)
 
-    def _write(self, entry: Entry) -> None:
+    def _write(self, entry: Entry, *, keeps_state: bool = True) -> None:
         self.entries.append(entry)
         self.position += 1
         # A log that cannot be written any more leaves the session meanwhile.
         if (log := self.log) is not None:
             log.append(entry)
-            if isinstance(entry.command, Advance):
+            if keeps_state and isinstance(entry.command, Advance):
                 log.keep(self.position, self.simulation)
 
     def _go_to(self, position: int) -> None:

@@ -150,6 +150,22 @@ def test_whatever_is_done_is_repeated(tmp_path, data):
     assert fingerprint(again.simulation) == fingerprint(session.simulation)
 
 
+@pytest.mark.parametrize(
+    "command", [Advance(steps=1), CloseGrab(name="left", center_mm=(2.0, 4.0, 8.0), radius_mm=3.0)]
+)
+def test_a_row_that_was_gone_back_into_ends_where_something_else_is_done(tmp_path, command):
+    session, path = OperatingSession(block_simulation()), tmp_path / "any.recording"
+    with Recorder(session, path, state_every_s=0.001):
+        session.advance(26)
+        session.go_to(25)
+        session.do(command)
+        session.advance(5)
+    assert [one.step for one in open_recording(path).entries][:2] == [0, 25]
+    again = replayed(path)
+    assert again.deviations == []
+    assert fingerprint(again.simulation) == fingerprint(session.simulation)
+
+
 def test_seeking_takes_the_way_by_the_stored_states(recording):
     played, sought = replayed(recording), load_session(open_recording(recording), block_model())
     steps = []
