@@ -48,11 +48,11 @@ def shared_anatomies(tmp_path_factory):
     folder.mkdir(exist_ok=True)
     build = heart.build_anatomy
 
-    def build_once(form):
+    def build_once(form, told=lambda _: None):
         path = folder / f"{hashlib.sha256(form.model_dump_json().encode()).hexdigest()}.pickle"
         if not path.exists():
             unfinished = path.with_suffix(f".{os.getpid()}")
-            unfinished.write_bytes(pickle.dumps(build(form)))
+            unfinished.write_bytes(pickle.dumps(build(form, told)))
             unfinished.rename(path)
         return pickle.loads(path.read_bytes())
 

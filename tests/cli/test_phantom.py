@@ -1,14 +1,21 @@
+import io
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import SimpleITK as sitk
 from click.testing import CliRunner
 from pydicom import dcmread
+from rich.console import Console
 
 from heartcase.cli.commands.phantom import command
 from heartcase.cli.main import main
+from heartcase.cli.shared.step_bar import StepBar
+from heartcase.phantom.anatomy import build, heart
 from heartcase.phantom.anatomy.heart import HeartPhantom
+from heartcase.phantom.drawing import recipe
+from heartcase.phantom.scan.acquisition import MRI_UNITS, noise_free
 from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
@@ -17,7 +24,7 @@ from heartcase.schemas.recipe.recipe import load_recipe
 def run(*arguments):
     result = CliRunner().invoke(command, [str(a) for a in arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
-    return result.output
+    return result.stdout
 
 
 def test_writes_scan_truth_and_recipe(tmp_path):
@@ -103,3 +110,50 @@ def test_the_note_of_a_normal_heart_does_not_stay_beside_one_with_a_defect(tmp_p
     assert '"size": "child"' in note.read_text()
     assert main(["phantom", str(tmp_path), *settings, "--vsd", "8"]) == 0
     assert not note.exists()
+
+
+def test_each_step_is_said_beside_the_result(tmp_path, capsys):
+    assert main(["phantom", str(tmp_path), "--size", "child", "--spacing", "6"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "Making a scan of the child phantom"
+    steps = ["building the heart", "making the scan", "labelling its voxels", "drawing strokes"]
+    assert [line.strip().rsplit(maxsplit=2)[0] for line in lines[1:]] == steps
+
+
+@pytest.mark.parametrize("supersampling", [1, 3])
+def test_the_heart_and_its_scan_say_how_far_they_are(monkeypatch, supersampling):
+    monkeypatch.setattr(heart, "_ANATOMIES", {})
+    monkeypatch.setattr(heart, "build_anatomy", build.build_anatomy)
+    phantom = HeartPhantom.child()
+    built, scanned = [], []
+    phantom.prepare(built.append)
+    assert len(built) >= 9
+    noise_free(phantom, phantom.scan_geometry(6.0), MRI_UNITS, supersampling=supersampling, told=scanned.append)
+    for heard, end in ((built, 0.9), (scanned, 1.0)):
+        assert all(before <= after for before, after in pairwise(heard))
+        assert 0.0 < heard[0] < 0.2
+        assert end <= heard[-1] <= 1.0
+    built.clear()
+    phantom.prepare(built.append)
+    assert built == []
+
+
+def test_a_terminal_sees_the_step_that_runs_and_how_far_it_is():
+    written = io.StringIO()
+    bar = StepBar(Console(file=written, force_terminal=True, width=80))
+    with bar.progress, bar.step("making the scan") as told:
+        bar.progress.refresh()
+        assert "making the scan" in written.getvalue()
+        told(0.25)
+        assert bar.progress.tasks[0].percentage == 25.0
+    assert bar.progress.tasks == []
+
+
+def test_who_stops_it_finds_nothing(tmp_path, monkeypatch, capsys):
+    def stopped(phantom):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(recipe, "marker_strokes", stopped)
+    assert main(["phantom", str(tmp_path / "out"), "--size", "child", "--spacing", "6"]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from heartcase.cli.shared.output import working
+from heartcase.cli.shared.output import error_console
 from heartcase.cli.shared.output_path import OutputPath
+from heartcase.cli.shared.step_bar import StepBar
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
@@ -73,7 +75,6 @@ def _is_number(text: str) -> bool:
 @click.option("--scan-only", is_flag=True, help="Write the scan alone, without truth and recipe.")
 @click.option("--dicom", is_flag=True, help="Write the scan as a DICOM series too, into OUT_DIR/dicom.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
-@working("making the scan")
 def command(
     out_dir: Path,
     size: str,
@@ -106,25 +107,47 @@ def command(
         # before anything is written over
         check_series_folder(out_dir / "dicom")
     voxel = _spacing(spacing, size)
-    phantom = HeartPhantom.of_size(size)
-    defects = []
-    if vsd is not None:
-        defects.append(phantom.ventricular_defect(_diameter(vsd, "vsd")))
-    if asd is not None:
-        defects.append(phantom.atrial_defect(_diameter(asd, "asd")))
-    if defects:
-        phantom = HeartPhantom.of_size(size, defects=defects)
-    geometry = phantom.scan_geometry(voxel, oblique=oblique)
     settings: dict[str, Any] = {"seed": seed}
     if noise is not None:
         if noise < 0.0:
             raise UsageError("the contrast to noise must be 0 (no noise) or above", place="--noise")
         settings["contrast_to_noise"] = noise if noise > 0.0 else float("inf")
     if modality == "mri":
-        scan = acquire_mri(phantom, geometry, bias=bias, **settings)
-    else:
-        scan = acquire_ct(phantom, geometry, **settings)
+        if not 0.0 <= bias < 1.0:
+            raise UsageError("the bias must be at least 0 and below 1", place="--bias")
+        settings["bias"] = bias
+    holes = {name: _diameter(one, name) for name, one in (("vsd", vsd), ("asd", asd)) if one is not None}
 
+    console = error_console()
+    console.print(f"Making a scan of the {size} phantom")
+    bar = StepBar(console)
+    with bar.progress:
+        phantom = HeartPhantom.of_size(size)
+        with bar.step("building the heart") as told:
+            phantom.prepare(told)
+            defects = [
+                phantom.ventricular_defect(one) if name == "vsd" else phantom.atrial_defect(one)
+                for name, one in holes.items()
+            ]
+            if defects:
+                phantom = HeartPhantom.of_size(size, defects=defects)
+            geometry = phantom.scan_geometry(voxel, oblique=oblique)
+        with bar.step("making the scan") as told:
+            acquire = acquire_mri if modality == "mri" else acquire_ct
+            scan = acquire(phantom, geometry, told=told, **settings)
+        if not scan_only:
+            with bar.step("labelling its voxels") as told:
+                labels = _true_labels(phantom.truth.label, geometry, told)
+            with bar.step("drawing strokes"):
+                text = recipe_text(
+                    phantom,
+                    name="-".join([size, "phantom", *holes]),
+                    scan_path="scan.nii.gz",
+                    command=_command_line(size, modality, spacing, noise, bias, seed, oblique, vsd, asd),
+                    modality=scan.modality,
+                )
+
+    # all is made before anything is written: who stops it finds no part of it
     _make_folder(out_dir)
     files = ["scan.nii.gz"]
     note_scan(out_dir / "scan.nii.gz", None)
@@ -146,15 +169,7 @@ def command(
         "seed": seed,
     }
     if not scan_only:
-        labels = _true_labels(phantom.truth.label, geometry)
         write_segmentation(Segmentation(labels, geometry, phantom.truth.table), out_dir / "truth.nii.gz")
-        text = recipe_text(
-            phantom,
-            name="-".join([size, "phantom", *(["vsd"] if vsd else []), *(["asd"] if asd else [])]),
-            scan_path="scan.nii.gz",
-            command=_command_line(size, modality, spacing, noise, bias, seed, oblique, vsd, asd),
-            modality=scan.modality,
-        )
         atomic_write(out_dir / "recipe.toml", text.encode())
         files += ["truth.nii.gz", "recipe.toml"]
         table = phantom.truth.table
@@ -238,11 +253,12 @@ def _diameter(value: float, option: str) -> float:
     return value
 
 
-def _true_labels(label_of: Any, geometry: Geometry) -> UInt8:
+def _true_labels(label_of: Any, geometry: Geometry, told: Callable[[float], None]) -> UInt8:
     labels = np.empty(geometry.shape, np.uint8)
     j, i = np.indices(geometry.shape[1:])
     for k in range(geometry.shape[0]):
         labels[k] = label_of(geometry.index_to_world(np.stack([i, j, np.full_like(i, k)], axis=-1)))
+        told((k + 1) / geometry.shape[0])
     return labels
 
 

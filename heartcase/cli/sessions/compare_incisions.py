@@ -15,7 +15,7 @@ import click
 from heartcase.cli.shared.film import write_animation, write_picture
 from heartcase.cli.shared.incision_pictures import film_of_defect, stretch_colours, view_of_defect
 from heartcase.cli.shared.incision_results import CaseResult, markdown, page
-from heartcase.cli.shared.output import echo_json, json_ready
+from heartcase.cli.shared.output import echo_json, json_ready, working
 from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import check_numbers, law_options, require_folder, session_bar, with_law
 from heartcase.schemas.errors import Problem, ScriptError, SimulationError, UsageError
@@ -23,7 +23,7 @@ from heartcase.schemas.files import atomic_write
 from heartcase.schemas.scripts.incision_plans import PlannedIncision
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.moduli import LawName
-from heartcase.simulator.load import Case, load_case
+from heartcase.simulator.load import Case, Need, load_case
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.planned_incisions import (
     HeldOpen,
@@ -101,7 +101,9 @@ def command(
     for path in (out, table_out, page_out, pictures, animations, surfaces, recordings):
         if path is not None:
             require_folder(path)
-    loaded = [with_law(load_case(one, needs=("surface", "colours", "tissue")), law, poissons_ratio) for one in cases]
+    with working("reading the cases"):
+        needs: tuple[Need, ...] = ("surface", "colours", "tissue")
+        loaded = [with_law(load_case(one, needs=needs), law, poissons_ratio) for one in cases]
     planned = _planned(loaded, plans)
     wanted = _Wanted(pictures, animations, surfaces, recordings, page_out is not None, backend, sleep_mm)
     wanted.make_folders(loaded, planned)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from heartcase.cli.shared.output import echo_json
+from heartcase.cli.shared.output import echo_json, working
 from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import (
     check_numbers,
@@ -78,9 +78,10 @@ def command(
         needs = ("grid", "tissue")
     if script is not None and sews(script):
         needs = ("surface", "tissue")
-    loaded = with_law(load_case(case, needs=needs), law, poissons_ratio)
-    script = completed_script(script, loaded, seconds, step_s)
-    session = OperatingSession(simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm))
+    with working("reading the case"):
+        loaded = with_law(load_case(case, needs=needs), law, poissons_ratio)
+        script = completed_script(script, loaded, seconds, step_s)
+        session = OperatingSession(simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm))
     recorder = Recorder(session, output, case=loaded.manifest, state_every_s=state_every_s)
     try:
         with session_bar("recording", script.seconds) as tell:

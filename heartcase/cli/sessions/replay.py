@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import click
 
-from heartcase.cli.shared.output import echo_json
+from heartcase.cli.shared.output import echo_json, working
 from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import check_numbers, require_folder, session_bar
 from heartcase.schemas.errors import Problem, UsageError
@@ -71,8 +71,9 @@ def command(
     _check_options(script_path, let_go, output)
     opened = open_recording(recording, partial=partial)
     script = load_script(script_path) if script_path is not None else None
-    loaded = load_case(case, needs=("grid", "tissue") if opened.header.tissue_sha256 else ("grid",))
-    session = load_session(opened, loaded.model, tissue=loaded.tissue, backend=backend)
+    with working("reading the case"):
+        loaded = load_case(case, needs=("grid", "tissue") if opened.header.tissue_sha256 else ("grid",))
+        session = load_session(opened, loaded.model, tissue=loaded.tissue, backend=backend)
     is_same_backend = session.simulation.backend == opened.header.backend
     to_step = _step_at(opened, session, to_s)
     with session_bar("replaying", max(to_step - session.start_step, 1) * session.simulation.step_s) as tell:

@@ -16,7 +16,7 @@ from heartcase.cli.shared.film import (
     write_animation,
     write_picture,
 )
-from heartcase.cli.shared.output import echo_json
+from heartcase.cli.shared.output import echo_json, working
 from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.sessions import (
     check_numbers,
@@ -94,10 +94,11 @@ def command(
         needs = (*needs, "tissue")
     if templates is not None:
         require_folder(templates / "template.svg")
-    loaded = load_case(case, needs=needs, curvature=curvature, level=level)
-    loaded = with_law(loaded, law, poissons_ratio)
-    script = completed_script(script, loaded, seconds, step_s)
-    simulation = simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm)
+    with working("reading the case"):
+        loaded = load_case(case, needs=needs, curvature=curvature, level=level)
+        loaded = with_law(loaded, law, poissons_ratio)
+        script = completed_script(script, loaded, seconds, step_s)
+        simulation = simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm)
     case_id, approval = loaded.manifest.case_id, approval_state(case)
     film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0
     camera = _filmer(loaded) if animation is not None or picture is not None else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any, TypeVar, get_args
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.scripts.script import SimulationScript
@@ -45,8 +44,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 _BESIDE = ("aortic-cut-in-weakest", "aortic-tear-out-weakest")
 """Measured forces that those in stitches are put beside."""
 DEFAULT_SECONDS = 2.0
-QUIET_SECONDS = 1.0
-"""The progress bar shows after this long."""
 
 _SCRIPT_OPTIONS = (
     click.option(
@@ -194,26 +191,22 @@ def stitch_lines(summary: SessionSummary) -> Iterator[str]:
 
 @contextmanager
 def session_bar(words: str, seconds: float) -> Iterator[Callable[[float], None]]:
-    """A progress bar in simulated time, shown once it is worth showing; what it gives is told the time in s."""
+    """A progress bar in simulated time, shown from the start; what it gives is told the time in s.
+
+    The first steps may wait for kernels to be compiled: until they are done, the sign before the words turns.
+    """
     console = Console(stderr=True)
     progress = Progress(
+        SpinnerColumn(),
         TextColumn(words),
         BarColumn(),
         TextColumn("{task.completed:.2f} of {task.total:.2f} s"),
+        TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
         transient=True,
+        disable=not console.is_terminal,
     )
     task = progress.add_task("", total=seconds)
-    started = time.perf_counter()
-
-    def update(time_s: float) -> None:
-        progress.update(task, completed=time_s)
-        if console.is_terminal and time.perf_counter() - started > QUIET_SECONDS:
-            progress.start()
-
-    try:
-        yield update
-    finally:
-        if progress.live.is_started:
-            progress.stop()
+    with progress:
+        yield lambda time_s: progress.update(task, completed=time_s)

@@ -8,6 +8,7 @@ with wall thicknesses of their own.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,13 +99,15 @@ def _at(along: float, right: float, up: float) -> Float64:
     return point
 
 
-def build_anatomy(form: HeartForm) -> Anatomy:
+def build_anatomy(form: HeartForm, told: Callable[[float], None] = lambda _: None) -> Anatomy:
     """Shapes of a heart, not mirrored.
 
     Parameters
     ----------
     form
         Its size, and what is not as in a normal heart; defects that are canals are not among the shapes.
+    told
+        Hears after each field how much is done, from 0 to 1.
     """
     sizes = proportions_of(form)
     scale, left_wall_mm = sizes.scale, sizes.left_wall_mm
@@ -126,6 +129,7 @@ def build_anatomy(form: HeartForm) -> Anatomy:
             rounding_mm=rounding if edges else 0.0,
             fillet_mm=fillet * scale,
         )
+        told(len(fields) / len(boxes))
         return fields[value]
 
     def ball(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -105,6 +105,10 @@ class HeartPhantom:
             return tuple(mirrored_defect(one) for one in self.twin.defects)
         return (*(place_defect(one, self.anatomy, self.scale) for one in self.form.defects), *self.more_defects)
 
+    def prepare(self, told: Callable[[float], None]) -> None:
+        """Work out the distance fields, which takes seconds, and tell meanwhile how far they are, from 0 to 1."""
+        _anatomy(self.form, told)
+
     @cached_property
     def anatomy(self) -> Anatomy:
         """Distance fields, ends and named places."""
@@ -181,7 +185,7 @@ _KEPT_COUNT = 4
 """Hearts whose tables are kept, 60 MB each."""
 
 
-def _anatomy(form: HeartForm) -> Anatomy:
+def _anatomy(form: HeartForm, told: Callable[[float], None] = lambda _: None) -> Anatomy:
     # Those defects that are canals alone leave the shapes as they are.
     moving = tuple(defect for defect in form.defects if defect.kind == "sinus venosus")
     shaping = form.model_copy(update={"defects": moving, "right_ventricular_wall_mm": None})
@@ -189,5 +193,5 @@ def _anatomy(form: HeartForm) -> Anatomy:
     if key not in _ANATOMIES:
         if len(_ANATOMIES) >= _KEPT_COUNT:
             _ANATOMIES.pop(next(iter(_ANATOMIES)))
-        _ANATOMIES[key] = build_anatomy(shaping)
+        _ANATOMIES[key] = build_anatomy(shaping, told)
     return _ANATOMIES[key]
