@@ -92,13 +92,20 @@ class Recent:
                 return one
         raise UsageError("this is no longer in the list: load the page again", place="recent")
 
-    def shown(self) -> list[dict[str, Any]]:
-        """The list for the page, the last one first: no path is in it."""
+    def shown(self, named: Callable[[Path], str | None] = lambda _: None) -> list[dict[str, Any]]:
+        """The list for the page, the last one first: no path is in it.
+
+        Parameters
+        ----------
+        named
+            What the page is told of the folder that an entry lies in; None for nothing.
+        """
         return [
             {
                 "key": one.key,
                 "kind": one.kind,
                 "name": one.name,
+                "folder": named(Path(one.path).parent),
                 "opened": one.opened,
                 "is_there": os.path.exists(one.path),
             }

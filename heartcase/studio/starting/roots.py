@@ -84,6 +84,14 @@ class Roots:
             raise UsageError("there is nothing at this path: check its spelling", place="path")
         return found
 
+    def named(self, folder: Path) -> str | None:
+        """A folder as the page is told it unasked: from the name of one of these on; None for one elsewhere."""
+        for root in self.folders:
+            if folder.is_relative_to(root):
+                words = (Path(root.name or root.anchor) / folder.relative_to(root)).as_posix()
+                return words if _is_text(words) else None
+        return None
+
     def listing(self, path: str | Path | None) -> dict[str, Any]:
         """What a folder holds that the studio opens, as plain data; where the page begins if no path is given.
 

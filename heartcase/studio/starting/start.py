@@ -230,7 +230,7 @@ class Start:
         return folder
 
     def _greeting(self) -> str:
-        return text_message("start", recent=self._recent.shown(), looks=self._looks)
+        return text_message("start", recent=self._recent.shown(self._roots.named), looks=self._looks)
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)

@@ -112,6 +112,8 @@ def test_from_a_dicom_folder_to_a_recipe_by_keys_alone(page, folder):
     tab.locator("a.home").click()
     tab.locator("#recent-rows .open").first.wait_for()
     assert recipe.name in page.text("#recent-rows li:first-child")
+    assert page.text("#recent-rows li:first-child .folder") == folder.name
+    assert tab.locator("#recent-rows li:first-child .folder").get_attribute("title") == folder.name
 
 
 def test_what_lies_outside_and_what_is_dropped_is_answered_in_the_pages_language(page, tmp_path):

@@ -208,6 +208,8 @@ def test_recent_work_can_be_opened_again_and_forgotten(tmp_path):
         with line(browser, "/starting", first="start") as page:
             (work,) = page.first["recent"]
             assert (work["name"], work["kind"], work["is_there"]) == ("painted", "recipe", True)
+            # where it lies, as far as it lies in a folder that may be looked into
+            assert work["folder"] == tmp_path.name
             # no path and no file name is told
             assert str(tmp_path) not in json.dumps(page.first)
             assert ".toml" not in json.dumps(page.first["recent"])
@@ -237,6 +239,22 @@ def test_recent_work_is_kept_in_a_private_file_and_is_bounded(tmp_path):
         assert recent.shown() == []
     recent.note("recipe", tmp_path / "x.toml", name="x", out=tmp_path)
     assert [one["name"] for one in recent.shown()] == ["x"]
+
+
+def test_recent_work_of_one_name_is_told_apart_by_its_folder_and_nothing_is_told_of_others(tmp_path):
+    inside, outside = tmp_path / "mine", tmp_path / "other"
+    recent = Recent(tmp_path / "state")
+    for folder in (inside, inside / "a" / "b", outside):
+        folder.mkdir(parents=True)
+        recent.note("recipe", folder / "heart.toml", name="heart", out=folder)
+    recent.note("case", inside / "heart.case", name="heart")
+    shown = recent.shown(Roots.of([inside]).named)
+    assert [one["folder"] for one in shown] == ["mine", None, "mine/a/b", "mine"]
+    assert str(tmp_path) not in json.dumps(shown)
+    assert "other" not in json.dumps(shown)
+    assert Roots.of([inside]).named(inside / "not\ntext") is None
+    # what only looks like a folder inside
+    assert Roots.of([inside]).named(tmp_path / "mine too") is None
 
 
 def test_recent_work_lies_in_the_users_state_folder(monkeypatch, tmp_path):

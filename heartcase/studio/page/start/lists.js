@@ -4,8 +4,11 @@ import { element, icon } from "../panel/structures.js";
 import { isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("./chooser.js").Ask} Ask */
-/** @typedef {{key: string, kind: string, name: string, opened: string, is_there: boolean}} Work */
+/** @typedef {{key: string, kind: string, name: string, folder: string | null, opened: string, is_there: boolean}} Work */
 /** @typedef {{name: string, titles: Record<string, string>, can_be_opened: boolean}} Sample */
+
+/** Letters of a folder's path that are shown: more would take a second line. */
+const SHOWN_LETTERS = 40;
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -44,7 +47,7 @@ export class Lists {
   }
 
   /** @param {Work} work */
-  #work({ key, kind, name, opened, is_there: isThere }) {
+  #work({ key, kind, name, folder, opened, is_there: isThere }) {
     const row = element("li");
     const word = `start_kind_${kind}`;
     const date = new Date(opened).toLocaleString(language.value, { dateStyle: "medium", timeStyle: "short" });
@@ -52,12 +55,12 @@ export class Lists {
     if (isThere) {
       const button = element("button", "open");
       button.type = "button";
-      button.append(element("b", "", name), element("span", "", about));
+      button.append(element("b", "", name), where(folder), element("span", "", about));
       button.addEventListener("click", () => void this.ask({ do: "reopen", key }));
       row.append(button);
     } else {
       const gone = element("div", "gone", name);
-      gone.append(element("span", "", say("start_gone")));
+      gone.append(where(folder), element("span", "gone-says", say("start_gone")));
       row.append(gone);
     }
     const forget = element("button", "", "×");
@@ -81,4 +84,21 @@ export class Lists {
     if (!canBeOpened) row.append(element("div", "why", say("start_sample_not")));
     return row;
   }
+}
+
+/** The folder that an entry lies in: two of one name are told apart by it. @param {string | null} folder */
+function where(folder) {
+  if (folder === null) return element("span", "folder", say("start_elsewhere"));
+  const shown = element("span", "folder", shortened(folder));
+  shown.title = folder;
+  return shown;
+}
+
+/** The last folders of a path, as many as there is room for: they tell two apart sooner than the first. @param {string} path */
+export function shortened(path) {
+  if (path.length <= SHOWN_LETTERS) return path;
+  const parts = path.split("/");
+  let shown = /** @type {string} */ (parts.pop());
+  while (parts.length > 0 && shown.length + parts[parts.length - 1].length + 3 <= SHOWN_LETTERS) shown = `${parts.pop()}/${shown}`;
+  return parts.length > 0 ? `…/${shown}` : shown;
 }

@@ -185,6 +185,7 @@ export const words = {
   start_begin_says: "Schreibt ein Rezept für diese Serie: Es enthält alles, was getan wird.",
   start_recent: "Zuletzt geöffnet",
   start_no_recent: "Noch nichts.",
+  start_elsewhere: "außerhalb der Ordner, die hier gezeigt werden",
   start_gone: "Nicht mehr an seinem Ort.",
   start_forget: "{name} aus der Liste nehmen",
   start_samples: "Beispielfälle",

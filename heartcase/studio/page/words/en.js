@@ -184,6 +184,7 @@ export const words = {
   start_begin_says: "Writes a recipe for this series: it holds all that you do.",
   start_recent: "Recent work",
   start_no_recent: "Nothing yet.",
+  start_elsewhere: "outside of the folders shown here",
   start_gone: "It is no longer where it was.",
   start_forget: "Take {name} off the list",
   start_samples: "Sample cases",
