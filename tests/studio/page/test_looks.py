@@ -7,7 +7,7 @@ import pytest
 
 from heartcase.schemas.recipe.recipe import load_recipe
 from tests.studio.page.browsing import SIZE, TURNED, Server, browsing, mm_of, pixel_of, until, write_recipe
-from tests.studio.page.test_page import MIDDLE, at, inside, look_at, stroke
+from tests.studio.page.test_page import MIDDLE, at, inside, look_at, off, stroke
 
 CONTRAST = """() => {
   const parts = (colour) => {
@@ -281,3 +281,29 @@ def test_wheel_zoom_and_pan(chromium, painted):
                 page.tab.keyboard.up(key)
             page.drawn()
             until(lambda seen=before: (inside(page, "axial") != seen).mean() > 0.02)
+
+
+def test_the_foot_follows_what_moves_below_a_mouse_that_rests(chromium, painted):
+    server, _, affine = painted
+    middle = mm_of(MIDDLE, affine)[0]
+    with browsing(chromium, server) as page:
+        look_at(page, middle, affine)
+        beside = at(page, "axial", off(middle, 4.0, 3.0, 0.0), affine)
+        page.tab.locator("#axial .surface").focus()
+        page.tab.mouse.move(*beside)
+        seen = [page.text("#under")]
+        slider = page.tab.locator("#axial .slice-slider")
+        for move in (
+            lambda: page.tab.keyboard.press("ArrowUp"),
+            lambda: page.tab.keyboard.press("PageDown"),
+            lambda: slider.evaluate("(one) => { one.value = 3; one.dispatchEvent(new Event('input')); }"),
+        ):
+            move()
+            page.drawn()
+            shown = page.text("#under")
+            assert shown != seen[-1]
+            # it is what the mouse says that comes back to the same pixel
+            page.tab.mouse.move(*(beside + 40))
+            page.tab.mouse.move(*beside)
+            until(lambda shown=shown: page.text("#under") == shown)
+            seen.append(shown)

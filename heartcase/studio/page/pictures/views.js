@@ -31,6 +31,8 @@ export class Views {
   surfaceCut = false;
   /** The graphics card forgot everything: what another part of the page had given it must come again. */
   onRestored = () => {};
+  /** Pictures were moved in their tiles: another place lies under the pointer. */
+  onMoved = () => {};
   /** What other parts of the page draw over the slices. @type {((view: SliceView, thickness: number) => void)[]} */
   over = [];
   /** And over the solids. @type {((view: SolidView) => void)[]} */
@@ -101,6 +103,7 @@ export class Views {
     const lattice = this.studio.lattice.value;
     if (lattice === null) return;
     for (const view of [...this.all, this.solid]) view.camera.fit(lattice);
+    this.onMoved();
     this.redraw();
   }
 
@@ -108,6 +111,7 @@ export class Views {
   lookAt(mm) {
     this.studio.crosshair.value = mm;
     for (const view of this.all) view.bringIntoSight(mm);
+    this.onMoved();
     this.redraw();
   }
 

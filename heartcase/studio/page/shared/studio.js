@@ -47,8 +47,8 @@ export class Studio {
   picked = new Signal(/** @type {number | null} */ (null));
   radiusMm = new Signal(keptNumber("radius_mm", SMALLEST_RADIUS_MM, LARGEST_RADIUS_MM, 3));
 
-  /** Where the pointer is; null where it is over no view. */
-  hover = new Signal(/** @type {{view: ViewName, mm: Vector} | null} */ (null));
+  /** Where the pointer is, in the patient and in the view's picture; null where it is over no view. */
+  hover = new Signal(/** @type {{view: ViewName, mm: Vector, x: number, y: number} | null} */ (null));
   /** The stroke under way: its positions and whether it erases; null where none is. */
   stroke = new Signal(/** @type {{points: readonly Vector[], erases: boolean} | null} */ (null));
 

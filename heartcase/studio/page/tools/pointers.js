@@ -47,6 +47,10 @@ export class Pointers {
     this.brush = brush;
     this.measures = measures;
     for (const view of views.all) this.#listen(view);
+    for (const signal of [studio.crosshair, studio.planes]) {
+      /** @type {import("../shared/signal.js").Signal<any>} */ (signal).listen(() => this.#stay());
+    }
+    views.onMoved = () => this.#stay();
   }
 
   /** @param {SliceView} view */
@@ -71,6 +75,17 @@ export class Pointers {
     });
   }
 
+  /** @param {SliceView} view @param {Point} at */
+  #pointAt(view, { x, y }) {
+    this.studio.hover.value = { view: view.name, mm: view.toMm(x, y), x, y };
+  }
+
+  /** The pointer rests while the picture below it moves: by keys, a slider, another plane. */
+  #stay() {
+    const { hover } = this.studio;
+    if (hover.value !== null) this.#pointAt(this.views.byName[hover.value.view], hover.value);
+  }
+
   /** @param {SliceView} view @param {PointerEvent} event */
   #down(view, event) {
     event.preventDefault();
@@ -93,7 +108,7 @@ export class Pointers {
     if (kind === "crosshair" && !event.shiftKey && this.#isOnHandle(view, at)) kind = "turn";
     view.surface.setPointerCapture(event.pointerId);
     this.#drag = { kind, view, pointer: event.pointerId, ...at, moved: false };
-    this.studio.hover.value = { view: view.name, mm: view.toMm(at.x, at.y) };
+    this.#pointAt(view, at);
     if (kind === "pan") this.hasPanned = true;
     if (kind === "crosshair") this.#moveCrosshair(view, at);
     if (kind === "measure") this.#setMeasure(view, at);
@@ -159,7 +174,7 @@ export class Pointers {
     if (drag === null) {
       view.surface.style.cursor = this.#isOnHandle(view, at) ? "grab" : "";
       if (event.shiftKey && event.buttons === 0) this.#moveCrosshair(view, at);
-      this.studio.hover.value = { view: view.name, mm: view.toMm(at.x, at.y) };
+      this.#pointAt(view, at);
       this.measures.follow(view.toMm(at.x, at.y));
       return;
     }
@@ -171,7 +186,7 @@ export class Pointers {
       if (Math.hypot(dx, dy) < FINGER_PIXELS) return;
       this.#settle(false);
     }
-    this.studio.hover.value = { view: over.name, mm: over.toMm(at.x, at.y) };
+    this.#pointAt(over, at);
     if (drag.kind === "paint") {
       if (!drag.isRaw) this.#extend(over, event);
       return;
@@ -294,6 +309,7 @@ export class Pointers {
     if (event.ctrlKey || event.metaKey) {
       view.camera.zoom(Math.exp(-travel / 400), at.x, at.y);
       view.isStale = true;
+      this.#pointAt(view, at);
       this.views.redrawOverlays();
       return;
     }
@@ -304,7 +320,7 @@ export class Pointers {
     this.#wheel = 0;
     if (event.shiftKey) this.studio.resizeBrush(-steps);
     else view.scroll(-steps);
-    this.studio.hover.value = { view: view.name, mm: view.toMm(at.x, at.y) };
+    this.#pointAt(view, at);
   }
 }
 
