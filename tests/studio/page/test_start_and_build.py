@@ -165,6 +165,8 @@ def test_a_build_shows_its_stages_and_its_warnings_lead_to_their_places(page, fo
     assert tab.evaluate("() => document.activeElement.className") == "surface"
     tab.locator("#tab-build").click()
     assert "cavity" in page.text("#volume-rows")
+    # why they are others than those of the list
+    assert "counts voxels" in page.text("#build-volumes-says")
     assert_accessible(page, "built")
     # approved only once the report was opened, and all was looked at
     case = folder / "out" / "ball.case"

@@ -122,6 +122,7 @@ export class Structures {
       const hasVolume = isBounded && label.role !== "background" && isMarked;
       const text = this.#volumes === null ? "…" : volume === undefined ? "" : `${figure(volume, volume < 10 ? 2 : 1)} ml`;
       part(row, ".volume").textContent = hasVolume ? text : "";
+      part(row, ".volume").title = hasVolume ? say("volume_says") : "";
       part(row, ".lock").setAttribute("aria-pressed", String(this.#locked.has(label.name)));
       const state = !isMarked ? "nothing" : (this.#states[label.name] ?? "marked");
       const mark = part(row, ".mark");

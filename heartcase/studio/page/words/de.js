@@ -342,6 +342,8 @@ export const words = {
   build_verdict_unexpected: "nicht erwartet",
   build_verdict_walled: "zugewachsen: oben sagen, was es ist",
   build_volumes: "Volumen",
+  build_volumes_says: "Die des Modells: geglättet, an den Gefäßenden geschnitten, mit Änderungen. Die Liste der Strukturen zählt Voxel der Label, ihre Werte weichen deshalb ab.",
+  volume_says: "Gezählt in Voxeln der Label. Beim Bauen wird geglättet, an Gefäßenden geschnitten und bearbeitet: Die Volumen dort weichen ab.",
   build_structure: "Struktur",
   build_change: "Änderung",
   approve_head: "Freigabe",

@@ -341,6 +341,8 @@ export const words = {
   build_verdict_unexpected: "not expected",
   build_verdict_walled: "walled over: say above what it is",
   build_volumes: "Volumes",
+  build_volumes_says: "Those of the model: smoothed, cut at the vessel ends, with its edits. The list of structures counts voxels of the labels, so its figures differ.",
+  volume_says: "Counted in voxels of the labels. A build smooths, cuts at vessel ends and edits: its volumes differ.",
   build_structure: "Structure",
   build_change: "Change",
   approve_head: "Approval",
