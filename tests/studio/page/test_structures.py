@@ -117,3 +117,33 @@ def test_a_structure_is_added_painted_and_removed(chromium, painted):
         (label,) = [one for one in parse_recipe(path.read_text(), needs_markers=False).table if one.role == "device"]
         assert label.name == "Rastelli conduit"
         assert label.colour != "#a0a0a0"
+
+
+def test_what_the_brush_paints_is_shown_on_every_tab(chromium, painted):
+    server, *_ = painted
+    with browsing(chromium, server) as page:
+        shown = page.tab.locator("#in-hand")
+        for tab in ("structures", "shape", "build"):
+            page.tab.locator(f"#tab-{tab}").click()
+            page.tab.keyboard.press("b")
+            page.tab.keyboard.press("5")
+            assert shown.inner_text().strip() == "Brush: aorta"
+            colour = shown.locator(".chip").evaluate("(chip) => getComputedStyle(chip).backgroundColor")
+            listed = page.tab.locator("#structures .picked .chip").evaluate(
+                "(chip) => getComputedStyle(chip).backgroundColor"
+            )
+            assert colour == listed
+            page.tab.keyboard.press("0")
+            assert shown.inner_text().strip() == "Brush: background"
+        # the eraser paints nothing, and neither does a pointer
+        for key in ("x", "v"):
+            page.tab.keyboard.press(key)
+            assert not shown.is_visible()
+        page.tab.keyboard.press("b")
+        page.tab.keyboard.down("e")
+        assert not shown.is_visible()
+        page.tab.keyboard.up("e")
+        page.tab.locator("#tab-help").click()
+        page.tab.locator("#language").select_option("de")
+        assert shown.inner_text().strip() == "Pinsel: Hintergrund"
+        assert_accessible(page, "in hand")

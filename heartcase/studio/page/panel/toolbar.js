@@ -2,7 +2,7 @@
 
 import { runLanguage, runTheme } from "../shared/looks.js";
 import { LARGEST_RADIUS_MM, SMALLEST_RADIUS_MM } from "../shared/studio.js";
-import { figure, isWord, language, say } from "../shared/words.js";
+import { figure, isWord, language, say, structureName } from "../shared/words.js";
 
 /** @typedef {import("../shared/studio.js").Studio} Studio */
 /** @typedef {import("../shared/studio.js").Tool} Tool */
@@ -24,6 +24,7 @@ const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 /** @param {Studio} studio @param {{undo: () => void, redo: () => void, fit: () => void}} actions */
 export function runToolbar(studio, actions) {
   runTools(studio);
+  runInHand(studio);
   runSizes(studio);
   runHistory(studio, actions);
   runWindow(studio);
@@ -47,6 +48,23 @@ function runTools(studio) {
     studio.ready.follow(tell);
   }
   studio.tool.follow((tool) => (document.body.dataset.tool = tool));
+}
+
+/** What the brush paints stands in the foot: the list of structures is hidden while another tab is shown. @param {Studio} studio */
+function runInHand(studio) {
+  const shown = find("in-hand");
+  const chip = /** @type {HTMLElement} */ (shown.querySelector(".chip"));
+  const name = /** @type {HTMLElement} */ (shown.querySelector(".name"));
+  const tell = () => {
+    const label = studio.pickedLabel;
+    shown.hidden = label === null || studio.tool.value !== "brush" || studio.erases;
+    if (label === null) return;
+    chip.style.background = label.colour;
+    name.textContent = name.title = say("in_hand", { name: structureName(label.name) });
+  };
+  for (const signal of [studio.labels, studio.picked, studio.tool, studio.erasing, language]) {
+    /** @type {import("../shared/signal.js").Signal<any>} */ (signal).follow(tell);
+  }
 }
 
 /** @param {Studio} studio */

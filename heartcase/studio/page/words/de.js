@@ -44,6 +44,7 @@ export const words = {
   tool_eraser: "Radierer (X)",
   tool_ruler: "Lineal, mm (M)",
   tool_angle: "Winkel (A)",
+  in_hand: "Pinsel: {name}",
   radius: "Radius",
   undo: "Zurücknehmen (Z)",
   redo: "Wiederholen (Y)",

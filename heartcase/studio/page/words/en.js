@@ -43,6 +43,7 @@ export const words = {
   tool_eraser: "Eraser (X)",
   tool_ruler: "Ruler, mm (M)",
   tool_angle: "Angle (A)",
+  in_hand: "Brush: {name}",
   radius: "Radius",
   undo: "Undo (Z)",
   redo: "Redo (Y)",
