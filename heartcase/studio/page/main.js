@@ -138,6 +138,7 @@ function run() {
     else if (message.kind === "opened") open(message);
     else if (message.kind === "refused" && message.id === null) status.refused(message.problems ?? []);
     else if (message.kind === "structures") {
+      studio.marked.value = message.marked ?? null;
       preview.refresh();
       shapePanel.tellLumens();
       const isComplete = (message.checklist ?? []).every((/** @type {{key: string, done: boolean}} */ one) => one.done || one.key === "ends");

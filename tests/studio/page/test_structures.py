@@ -1,8 +1,10 @@
 """The list of structures on the studio's page: locks and states; in a real browser."""
 
+import numpy as np
+
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe
 from tests.studio.axe.accessible import assert_accessible
-from tests.studio.page.browsing import browsing, mm_of, until
+from tests.studio.page.browsing import browsing, mm_of, pixel_of, until
 from tests.studio.page.test_page import MIDDLE, inside, look_at, off, stroke
 
 
@@ -147,3 +149,47 @@ def test_what_the_brush_paints_is_shown_on_every_tab(chromium, painted):
         page.tab.locator("#language").select_option("de")
         assert shown.inner_text().strip() == "Pinsel: Hintergrund"
         assert_accessible(page, "in hand")
+
+
+def test_a_single_marked_structure_is_drawn_faintly_and_it_is_said_why(chromium, painted):
+    server, path, affine = painted
+    middle, corner = mm_of(MIDDLE, affine)[0], mm_of([4, 24, 17], affine)[0]
+    aside = off(middle, 3.0, 3.0, 0.0)
+    with browsing(chromium, server) as page:
+
+        def tint(shown=page):
+            """How far a pixel of the label is from grey, against the label's own colour."""
+            shown.drawn()
+            x, y = pixel_of(aside, shown, "axial", affine)[0].astype(int)
+            colour = shown.tab.locator("#structures .picked .chip").evaluate(
+                "(chip) => getComputedStyle(chip).backgroundColor.match(/[0-9]+/g).map(Number)"
+            )
+            return np.ptp(shown.pixels("axial")[y, x].astype(int)) / np.ptp(colour)
+
+        look_at(page, middle, affine)
+        page.plain()
+        page.tab.keyboard.press("5")
+        stroke(page, "axial", [middle, off(middle, 2.0, 0, 0)], affine)
+        page.saved(1)
+        page.tab.mouse.move(5, 5)
+        note = page.tab.locator("#checklist").get_by_text("Only aorta is marked")
+        note.wait_for()
+        until(lambda: 0.15 < tint() < 0.25)
+        # another page sees the same, and so does this one after it was loaded again
+        with browsing(chromium, server) as other:
+            look_at(other, middle, affine)
+            other.plain()
+            other.tab.locator("#structures .structure").filter(has_text="aorta").locator(".pick").click()
+            other.tab.mouse.move(5, 5)
+            until(lambda: 0.15 < tint(other) < 0.25)
+        page.tab.keyboard.press("6")
+        stroke(page, "axial", [corner, off(corner, 2.0, 0, 0)], affine)
+        page.saved(2)
+        page.tab.keyboard.press("5")
+        page.tab.mouse.move(5, 5)
+        until(lambda: tint() > 0.9)
+        note.wait_for(state="detached")
+        assert load_recipe(path).strokes[0].label == "aorta"
+        page.tab.keyboard.press("z")
+        until(lambda: 0.15 < tint() < 0.25)
+        note.wait_for()

@@ -199,6 +199,13 @@ export class Guide {
       if (!done && isWord(where)) row.append(pictureOf(key, say(where)));
       return row;
     });
+    if (this.#marked.length === 1) {
+      const spreads = element("li", "note");
+      const sign = element("span", "tick", "→");
+      sign.setAttribute("aria-hidden", "true");
+      spreads.append(sign, element("span", "words", say("item_spreads", { name: structureName(this.#marked[0]) })));
+      rows.unshift(spreads);
+    }
     if (rows.length > 0) {
       const defects = element("li", "note");
       const sign = element("span", "tick", "→");

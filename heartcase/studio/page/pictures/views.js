@@ -17,6 +17,8 @@ import { say } from "../shared/words.js";
 /** @typedef {import("../tools/measures.js").Measures} Measures */
 
 const TURN_STEP_DEGREES = 5;
+/** Part of their opacity that labels have while a single one takes the whole scan. */
+const UNBOUNDED = 0.2;
 
 /** The browser gives no WebGL 2. */
 export class NoGraphics extends Error {}
@@ -194,6 +196,11 @@ export class Views {
   #follow() {
     const { studio } = this;
     for (const signal of [studio.window, studio.opacity, studio.outline, studio.labelsShown]) signal.listen(() => this.#redrawSlices());
+    let wasUnbounded = studio.isUnbounded;
+    studio.marked.listen(() => {
+      if (studio.isUnbounded !== wasUnbounded) this.#redrawSlices();
+      wasUnbounded = studio.isUnbounded;
+    });
     for (const signal of [studio.hover, studio.stroke, studio.radiusMm, studio.erasing, studio.tool, studio.picked, studio.panning]) {
       signal.listen(() => this.redrawOverlays());
     }
@@ -273,7 +280,7 @@ export class Views {
         const shown = studio.labelsShown.value;
         const look = {
           ...studio.window.value,
-          opacity: shown ? studio.opacity.value : 0,
+          opacity: shown ? studio.opacity.value * (studio.isUnbounded ? UNBOUNDED : 1) : 0,
           outline: shown && studio.outline.value,
         };
         this.slices.draw(volume, lattice, view.camera, studio.crosshair.value, look, part, stale);

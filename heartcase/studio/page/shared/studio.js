@@ -33,6 +33,8 @@ export class Studio {
   redoKind = new Signal("strokes");
   /** Whether the recipe's file holds all that was painted. */
   saved = new Signal(true);
+  /** Names of what is marked; null while the server has not said. */
+  marked = new Signal(/** @type {readonly string[] | null} */ (null));
   /** Whether labels still spread: those far from the last stroke are of before. */
   spreads = new Signal(false);
 
@@ -88,6 +90,11 @@ export class Studio {
   /** Whether what is painted now erases. */
   get erases() {
     return this.tool.value === "eraser" || this.erasing.value;
+  }
+
+  /** Whether a label still has nothing to stop at: the first one that is marked takes the whole scan. */
+  get isUnbounded() {
+    return this.marked.value !== null && this.marked.value.length < 2;
   }
 
   get pickedLabel() {

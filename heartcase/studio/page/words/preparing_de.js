@@ -51,6 +51,7 @@ export const words = {
   field_is_open: "Ist offen",
   start_outside: "{path} liegt außerhalb der Ordner, mit denen heartcase gestartet wurde. Um es zu öffnen: diese Seite schließen, heartcase beenden und mit diesem Ordner neu starten: heartcase studio \"{path}\"",
   start_dropped: "Nichts wurde geöffnet: Ein Browser verrät nicht, wo eine hineingezogene Datei liegt. Ihren Ordner in der Liste wählen oder oben eingeben.",
+  item_spreads: "Nur {name} ist markiert: Das Label breitet sich über die ganze Aufnahme aus und wird blass gezeichnet, bis eine zweite Struktur oder Hintergrund markiert ist",
   item_background_first: "Hintergrund rings um das Herz markieren (Taste 0): Bis dahin zählt die ganze Aufnahme als {names}",
   item_defects: "Ein Loch in einem Septum? Von jeder Seite einen Strich hindurch führen, bis sich beide im Loch berühren, oder es nach dem Bauen angeben: Sonst wächst dort eine Wand.",
   new_structure: "Struktur hinzufügen oder entfernen",

@@ -50,6 +50,7 @@ export const words = {
   opening_compiling: "First start on this machine: it gets ready ({percent}%, {left}), so this takes longer, once.",
   start_outside: "{path} lies outside of the folders that heartcase was started with. To open it, close this page and end heartcase; then start it with that folder: heartcase studio \"{path}\"",
   start_dropped: "Nothing was opened: a browser does not tell where a dropped file lies. Choose its folder in the list, or type it above.",
+  item_spreads: "Only {name} is marked: it spreads over the whole scan, and is drawn faintly until a second structure or background is marked",
   item_background_first: "Mark background around the heart (key 0): until then all of the scan counts as {names}",
   item_defects: "A hole in a septum? Let a stroke of each side run through it until the two touch inside the hole, or say so after the build: it is walled over otherwise.",
   new_structure: "Add or remove a structure",
