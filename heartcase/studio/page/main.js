@@ -1,33 +1,34 @@
 /** The page of heartcase studio: puts its parts together, and hands them what the server sends. */
 
 import { BuildTab } from "./building/build_tab.js";
-import { runDrafts } from "./panel/drafts.js";
-import { Guide } from "./panel/guide.js";
-import { runNaming } from "./panel/naming.js";
-import { runNewStructure } from "./panel/new_structure.js";
-import { runPlanes } from "./panel/planes.js";
-import { Status } from "./panel/status.js";
-import { Structures } from "./panel/structures.js";
-import { runHelp, runTabs, runTiles } from "./panel/tiles.js";
-import { runToolbar } from "./panel/toolbar.js";
-import { Seen } from "./pictures/seen.js";
-import { NoGraphics, Views } from "./pictures/views.js";
-import { TooLarge } from "./pictures/volume.js";
+import { runDrafts } from "./painting/panel/drafts.js";
+import { Guide } from "./painting/panel/guide.js";
+import { runNaming } from "./painting/panel/naming.js";
+import { runNewStructure } from "./painting/panel/new_structure.js";
+import { runPlanes } from "./painting/panel/planes.js";
+import { Status } from "./painting/panel/status.js";
+import { Structures } from "./painting/panel/structures.js";
+import { runHelp, runTiles } from "./painting/panel/tiles.js";
+import { runTabs } from "./shared/tabs.js";
+import { runToolbar } from "./painting/panel/toolbar.js";
+import { Seen } from "./painting/pictures/seen.js";
+import { NoGraphics, Views } from "./painting/pictures/views.js";
+import { TooLarge } from "./painting/pictures/volume.js";
 import { Connection, Lost, Refused } from "./shared/connection.js";
 import { handFocusOn } from "./shared/focus.js";
-import { Studio } from "./shared/studio.js";
+import { Studio } from "./painting/studio.js";
 import { fillWords, isWord, language, say } from "./shared/words.js";
-import { Brush } from "./tools/brush.js";
-import { Measures } from "./tools/measures.js";
-import { Pointers } from "./tools/pointers.js";
+import { Brush } from "./painting/tools/brush.js";
+import { Measures } from "./painting/tools/measures.js";
+import { Pointers } from "./painting/tools/pointers.js";
 import { drawLines, drawLinesOnSolid } from "./shaping/drawing.js";
 import { Hands } from "./shaping/hands.js";
 import { runPreview } from "./shaping/preview.js";
 import { ShapePanel } from "./shaping/panel.js";
 import { Shaping } from "./shaping/shaping.js";
-import { Shortcuts } from "./tools/shortcuts.js";
-import { Steps } from "./tools/steps.js";
-import { runTurning } from "./tools/turning.js";
+import { Shortcuts } from "./painting/tools/shortcuts.js";
+import { Steps } from "./painting/tools/steps.js";
+import { runTurning } from "./painting/tools/turning.js";
 
 /** @typedef {import("./shared/connection.js").Message} Message */
 /** @typedef {import("./shared/connection.js").Package} Package */
@@ -174,7 +175,7 @@ function run() {
     }
   }
 
-  /** @param {readonly import("./shared/studio.js").Label[]} labels */
+  /** @param {readonly import("./painting/studio.js").Label[]} labels */
   function tellLabels(labels) {
     studio.labels.value = labels;
     // what was in hand may be gone

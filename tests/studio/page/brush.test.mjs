@@ -3,8 +3,8 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 import { Lost, Refused } from "../../../heartcase/studio/page/shared/connection.js";
-import { Studio } from "../../../heartcase/studio/page/shared/studio.js";
-import { Brush } from "../../../heartcase/studio/page/tools/brush.js";
+import { Studio } from "../../../heartcase/studio/page/painting/studio.js";
+import { Brush } from "../../../heartcase/studio/page/painting/tools/brush.js";
 
 /** A server whose answers and frames come when the test says so. */
 function scene() {

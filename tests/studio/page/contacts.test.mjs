@@ -16,7 +16,7 @@ class Node {
 }
 globalThis.document = { createElement: () => new Node() };
 const { Contacts } = await import("../../../heartcase/studio/page/building/contacts.js");
-const { wallLabel } = await import("../../../heartcase/studio/page/panel/paint_here.js");
+const { wallLabel } = await import("../../../heartcase/studio/page/painting/panel/paint_here.js");
 const { Signal } = await import("../../../heartcase/studio/page/shared/signal.js");
 const { say } = await import("../../../heartcase/studio/page/shared/words.js");
 

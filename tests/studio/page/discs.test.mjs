@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import test from "node:test";
-import { PATIENT_FRAMES } from "../../../heartcase/studio/page/pictures/geometry.js";
+import { PATIENT_FRAMES } from "../../../heartcase/studio/page/shared/geometry.js";
 import * as discs from "../../../heartcase/studio/page/shaping/discs.js";
 
 const { axial, coronal, sagittal } = PATIENT_FRAMES;

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import test from "node:test";
-import * as geometry from "../../../heartcase/studio/page/pictures/geometry.js";
+import * as geometry from "../../../heartcase/studio/page/shared/geometry.js";
 
 const { Camera, Lattice, PATIENT_FRAMES, orientationLetters, scanFrames } = geometry;
 const NEAR = 1e-9;

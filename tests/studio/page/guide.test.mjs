@@ -18,8 +18,8 @@ class Node {
 }
 const tab = new Node();
 globalThis.document = { createElement: () => new Node(), getElementById: (id) => (id === "tab-structures" ? tab : null), activeElement: null };
-const { Guide } = await import("../../../heartcase/studio/page/panel/guide.js");
-const { Studio } = await import("../../../heartcase/studio/page/shared/studio.js");
+const { Guide } = await import("../../../heartcase/studio/page/painting/panel/guide.js");
+const { Studio } = await import("../../../heartcase/studio/page/painting/studio.js");
 const { say } = await import("../../../heartcase/studio/page/shared/words.js");
 
 const LABELS = [

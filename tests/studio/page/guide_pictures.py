@@ -3,7 +3,7 @@
     python -m tests.studio.page.guide_pictures [--recipe sample_cases/adult_phantom.toml] [--scan SCAN]
 
 A slice of the sample's scan for each kind, with the sample's own strokes (and ends) of that kind that lie near it. The
-pictures are written into ``heartcase/studio/page/guide``; they show a synthetic heart, and nobody.
+pictures are written into ``heartcase/studio/page/painting/guide``; they show a synthetic heart, and nobody.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from heartcase.schemas.labels import BACKGROUND, Role
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.studio.serving.app import PAGE
 
-GUIDE = PAGE / "guide"
+GUIDE = PAGE / "painting" / "guide"
 SIZE = (136, 136)
 """Pixels across and down: twice what is shown, for fine screens."""
 WIDTH_MM = 138.0

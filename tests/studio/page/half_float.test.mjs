@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import test from "node:test";
-import { EXACT_TO, halfBits, halfFloats } from "../../../heartcase/studio/page/pictures/half_float.js";
+import { EXACT_TO, halfBits, halfFloats } from "../../../heartcase/studio/page/painting/pictures/half_float.js";
 
 /** @param {number} bits */
 function decoded(bits) {

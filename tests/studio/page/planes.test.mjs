@@ -3,10 +3,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { dot, PATIENT_FRAMES } from "../../../heartcase/studio/page/pictures/geometry.js";
+import { dot, PATIENT_FRAMES } from "../../../heartcase/studio/page/shared/geometry.js";
 import {
   handlesOf, heartPlanes, isOnHandle, lacking, lineOf, PATIENT_PLANES, turned, turnedPlanes, VIEWS,
-} from "../../../heartcase/studio/page/pictures/planes.js";
+} from "../../../heartcase/studio/page/painting/pictures/planes.js";
 
 const RIGHT_ANGLE = Math.PI / 2;
 

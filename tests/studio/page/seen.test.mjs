@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 import { Signal } from "../../../heartcase/studio/page/shared/signal.js";
-import { Seen } from "../../../heartcase/studio/page/pictures/seen.js";
+import { Seen } from "../../../heartcase/studio/page/painting/pictures/seen.js";
 
 test("pieces of the rest are asked for one after the other, when labels have not changed for a while", async (context) => {
   context.mock.timers.enable({ apis: ["setTimeout"] });

@@ -4,10 +4,10 @@ import assert from "node:assert/strict";
 import test from "node:test";
 import { deflateSync } from "node:zlib";
 import { unpack, waitMs } from "../../../heartcase/studio/page/shared/connection.js";
-import { Studio } from "../../../heartcase/studio/page/shared/studio.js";
+import { Studio } from "../../../heartcase/studio/page/painting/studio.js";
 import { LANGUAGES, language, say, structureName } from "../../../heartcase/studio/page/shared/words.js";
-import { Measures } from "../../../heartcase/studio/page/tools/measures.js";
-import { HELP, keyOf } from "../../../heartcase/studio/page/tools/shortcuts.js";
+import { Measures } from "../../../heartcase/studio/page/painting/tools/measures.js";
+import { HELP, keyOf } from "../../../heartcase/studio/page/painting/tools/shortcuts.js";
 
 test("every language has every sentence, with the same values in it", () => {
   const values = (/** @type {string} */ text) => [...text.matchAll(/\{(\w+)\}/g)].map(([, name]) => name).sort();

@@ -2,8 +2,8 @@
 
 import assert from "node:assert/strict";
 import test from "node:test";
-import { Studio } from "../../../heartcase/studio/page/shared/studio.js";
-import { Steps } from "../../../heartcase/studio/page/tools/steps.js";
+import { Studio } from "../../../heartcase/studio/page/painting/studio.js";
+import { Steps } from "../../../heartcase/studio/page/painting/tools/steps.js";
 
 /** A page with some steps to take back, whose strokes and answers the test makes. */
 function scene(undoCount = 2, redoCount = 0) {

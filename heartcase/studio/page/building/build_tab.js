@@ -1,7 +1,7 @@
 /** The tab that builds: stages, time left, what is reused; then what came of it. */
 
-import { paintHere, wallLabel } from "../panel/paint_here.js";
-import { element } from "../panel/structures.js";
+import { paintHere, wallLabel } from "../painting/panel/paint_here.js";
+import { element } from "../shared/elements.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 import { Approval } from "./approval.js";
@@ -11,9 +11,9 @@ import { Results } from "./results.js";
 /** @typedef {import("../shared/connection.js").Problem} Problem */
 /** @typedef {{stage: string, state: "waiting" | "running" | "computed" | "reused", seconds: number}} Step */
 /** @typedef {import("./warning_words.js").Parts} Parts */
-/** @typedef {{text: string, grade: string, places_mm: import("../pictures/geometry.js").Vector[], code: string, parts: Parts}} Warning */
-/** @typedef {{between: string[], area_mm2: number, center_mm: import("../pictures/geometry.js").Vector, verdict: string, reach_mm: number | null}} Opening */
-/** @typedef {{between: string[], thickness_mm: number, area_mm2: number, center_mm: import("../pictures/geometry.js").Vector, radius_mm: number,
+/** @typedef {{text: string, grade: string, places_mm: import("../shared/geometry.js").Vector[], code: string, parts: Parts}} Warning */
+/** @typedef {{between: string[], area_mm2: number, center_mm: import("../shared/geometry.js").Vector, verdict: string, reach_mm: number | null}} Opening */
+/** @typedef {{between: string[], thickness_mm: number, area_mm2: number, center_mm: import("../shared/geometry.js").Vector, radius_mm: number,
  *   state: "grown" | "opened" | "confirmed"}} Grown */
 /**
  * @typedef {{sha256: string, name: string, notice: string, warnings: Warning[], volumes_ml: Record<string, number>,
@@ -42,8 +42,8 @@ export class BuildTab {
   #refused = [];
 
   /**
-   * @param {import("../shared/studio.js").Studio} studio
-   * @param {import("../pictures/views.js").Views} views
+   * @param {import("../painting/studio.js").Studio} studio
+   * @param {import("../painting/pictures/views.js").Views} views
    * @param {import("../shaping/shaping.js").Shaping} shaping
    * @param {import("../shaping/shaping.js").Ask} ask of the recipe's page
    * @param {(error: unknown) => void} onFault

@@ -1,10 +1,10 @@
 /** Places where the outlines of two cavities touch: what was found there, with a picture, and what it is, by a button. */
 
-import { element } from "../panel/structures.js";
-import { distance } from "../pictures/geometry.js";
+import { element } from "../shared/elements.js";
+import { distance } from "../shared/geometry.js";
 import { figure, say, structureName } from "../shared/words.js";
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../shared/geometry.js").Vector} Vector */
 /** @typedef {import("../shaping/shaping.js").Entry} Entry */
 /** @typedef {import("../shaping/shaping.js").Shaping} Shaping */
 /** @typedef {import("./build_tab.js").Grown} Grown */

@@ -1,7 +1,7 @@
 /** What a case holds: warnings that lead to their places, volumes, openings; marks in the slices. */
 
-import { element } from "../panel/structures.js";
-import { distance } from "../pictures/geometry.js";
+import { element } from "../shared/elements.js";
+import { distance } from "../shared/geometry.js";
 import { figure, isWord, language, say, showNotice, structureName } from "../shared/words.js";
 import { warningWords } from "./warning_words.js";
 
@@ -33,8 +33,8 @@ export class Results {
   onSeen = () => undefined;
 
   /**
-   * @param {import("../shared/studio.js").Studio} studio
-   * @param {import("../pictures/views.js").Views} views
+   * @param {import("../painting/studio.js").Studio} studio
+   * @param {import("../painting/pictures/views.js").Views} views
    * @param {import("./contacts.js").Contacts} contacts
    */
   constructor(studio, views, contacts) {
@@ -179,7 +179,7 @@ export class Results {
     return label;
   }
 
-  /** @param {import("../pictures/geometry.js").Vector | undefined} mm */
+  /** @param {import("../shared/geometry.js").Vector | undefined} mm */
   #openingAt(mm) {
     return mm && this.#case?.openings.find(({ center_mm }) => distance(center_mm, mm) < 0.2);
   }

@@ -1,6 +1,6 @@
 /** What an incision is worth while it is held open: figures that the server works out beside the steps. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { figure, language, say, structureName } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */

@@ -1,6 +1,6 @@
 /** Recordings as plans: named, two of them played side by side, figures of several in one table. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { figure, language, say } from "../shared/words.js";
 import { KINDS, rows, trusted, vesselRows } from "./live_figures.js";
 

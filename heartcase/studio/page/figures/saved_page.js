@@ -1,6 +1,6 @@
 /** The case saved as one HTML file, with the recordings that are ticked: what is known of it. */
 
-import { problemList } from "../panel/status.js";
+import { problemList } from "../shared/elements.js";
 import { figure, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */

@@ -2,7 +2,7 @@
 
 import * as three from "../vendor/three/three.module.min.js";
 import { FRAGMENT, VERTEX } from "../operating/placing.js";
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { isWord, say } from "../shared/words.js";
 
 /** @typedef {import("../operating/heart.js").Heart} Heart */

@@ -8,7 +8,7 @@ import { PlaneControls } from "../operating/plane_controls.js";
 import { Pointer } from "../operating/pointer.js";
 import { fillSpeeds } from "../operating/time_line.js";
 import { showCursor, ToolBar } from "../operating/tool_bar.js";
-import { runTabs } from "../panel/tiles.js";
+import { runTabs } from "../shared/tabs.js";
 import { runLanguage, runTheme, runWords } from "../shared/looks.js";
 import { figure, language, say, showNotice } from "../shared/words.js";
 import { NoWebGpu, SpringEngine } from "../webgpu/engine.js";

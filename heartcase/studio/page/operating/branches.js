@@ -1,6 +1,6 @@
 /** What was taken back, or gone back behind, and left when time went on another way: a list to bring it back from. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 
 /** @typedef {{number: number, start_s: number, end_s: number, marks: Record<string, number>}} Branch */

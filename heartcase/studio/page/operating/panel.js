@@ -1,6 +1,6 @@
 /** The panel beside the heart: what is shown, what the instruments feel, recordings, keys. */
 
-import { element, icon } from "../panel/structures.js";
+import { element, icon } from "../shared/elements.js";
 import { figure, isWord, language, say, structureName } from "../shared/words.js";
 
 /** @typedef {import("../shared/words.js").Word} Word */

@@ -1,6 +1,6 @@
 /** Buttons and lists for the cut plane of the page that operates; the server is told, so that what is cut away cannot be pointed at. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { PlaneHandles } from "../section/handles.js";
 import { SIDES } from "../section/plane.js";
 import { isWord, language, say } from "../shared/words.js";

@@ -1,6 +1,6 @@
 /** The second view: the same heart from another place, beside the first. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { SIDES } from "../section/plane.js";
 import { isWord, language, say } from "../shared/words.js";
 

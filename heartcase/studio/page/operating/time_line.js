@@ -1,6 +1,6 @@
 /** The time line: where the session is, how far it is known, going back and on along it. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { figure, fillWords, language, say } from "../shared/words.js";
 
 /** Step, and what was done then. @typedef {[number, "cut" | "patch" | "stitch"]} Mark */

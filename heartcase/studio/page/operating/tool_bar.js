@@ -1,6 +1,6 @@
 /** Buttons for what is taken in hand, its size, and where keys lead it: the same with a server and without. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { figure, isWord, say } from "../shared/words.js";
 
 /** @param {string} id */

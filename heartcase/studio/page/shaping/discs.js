@@ -1,9 +1,9 @@
 /** Flat discs in space: where a slice cuts them, and how a drag within a slice turns and sizes them. Pure maths, mm. */
 
-import { distance, dot, plus } from "../pictures/geometry.js";
+import { distance, dot, plus } from "../shared/geometry.js";
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
-/** @typedef {import("../pictures/geometry.js").Frame} Frame */
+/** @typedef {import("../shared/geometry.js").Vector} Vector */
+/** @typedef {import("../shared/geometry.js").Frame} Frame */
 /** @typedef {{centre: Vector, axis: Vector, radius: number}} Disc its axis is of any length but zero */
 /** What a slice shows of a disc: the whole where it lies in the slice, or a line.
  * @typedef {{kind: "circle"} | {kind: "line", ends: [Vector, Vector]}} Cut */

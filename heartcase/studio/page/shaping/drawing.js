@@ -1,14 +1,14 @@
 /** The lines of the recipe over the slices and the solids: discs, paths and points, where a slice meets them. */
 
-import { dot, plus, sectionRadius } from "../pictures/geometry.js";
-import { lighter, rimmed, lettering } from "../pictures/overlay.js";
+import { dot, plus, sectionRadius } from "../shared/geometry.js";
+import { lighter, rimmed, lettering } from "../painting/pictures/overlay.js";
 import { structureName } from "../shared/words.js";
 import { kindWord } from "./form.js";
 import { cutOf, rimOf, unit, within } from "./discs.js";
 import { discOf, isSame, kindOf } from "./shaping.js";
 
-/** @typedef {import("../pictures/geometry.js").Camera} Camera */
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../shared/geometry.js").Camera} Camera */
+/** @typedef {import("../shared/geometry.js").Vector} Vector */
 /** @typedef {import("./shaping.js").Entry} Entry */
 /** @typedef {import("./shaping.js").Line} Line */
 /** @typedef {import("./shaping.js").List} List */

@@ -1,7 +1,7 @@
 /** A form of a line or of settings, built from what the recipe's schema allows. */
 
 import { figure, isWord, say, structureName } from "../shared/words.js";
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 
 /** @typedef {import("./shaping.js").Entry} Entry */
 /** @typedef {import("./shaping.js").Field} Field */

@@ -1,13 +1,13 @@
 /** What mouse, pen and keys do to the lines of the recipe: place, select, move, turn and size them in the slices. */
 
-import { distance, plus } from "../pictures/geometry.js";
+import { distance, plus } from "../shared/geometry.js";
 import { discAcross, pulled, rounded, thinned } from "./discs.js";
 import { handleAt } from "./drawing.js";
 import { discOf, isSame, placeOf, withDisc } from "./shaping.js";
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
-/** @typedef {import("../pictures/slice_view.js").SliceView} SliceView */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../shared/geometry.js").Vector} Vector */
+/** @typedef {import("../painting/pictures/slice_view.js").SliceView} SliceView */
+/** @typedef {import("../painting/studio.js").Studio} Studio */
 /** @typedef {import("./drawing.js").Handle} Handle */
 /** @typedef {import("./shaping.js").Entry} Entry */
 /** @typedef {import("./shaping.js").Kind} Kind */

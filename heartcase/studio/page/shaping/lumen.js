@@ -1,9 +1,9 @@
 /** How wide a vessel is where a disc crosses it: from the labels in the disc's plane. Pure maths, mm. */
 
-import { plus } from "../pictures/geometry.js";
+import { plus } from "../shared/geometry.js";
 import { cross, unit } from "./discs.js";
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../shared/geometry.js").Vector} Vector */
 /** @typedef {import("./discs.js").Disc} Disc */
 
 /** Samples across a radius at most: bounds the work for a disc that is far too wide. */

@@ -1,14 +1,14 @@
 /** The tab Shape: what can be placed, the lines that the recipe has, walls, materials and settings. */
 
-import { element, icon } from "../panel/structures.js";
+import { element, icon } from "../shared/elements.js";
 import { figure, isWord, language, say, structureName } from "../shared/words.js";
 import { formRows, kindWord } from "./form.js";
 import { short } from "../building/results.js";
 import { lumenOf } from "./lumen.js";
 import { discOf, isSame, kindOf, placeOf } from "./shaping.js";
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../pictures/views.js").Views} Views */
+/** @typedef {import("../painting/studio.js").Studio} Studio */
+/** @typedef {import("../painting/pictures/views.js").Views} Views */
 /** @typedef {import("./hands.js").Hands} Hands */
 /** @typedef {import("./shaping.js").Entry} Entry */
 /** @typedef {import("./shaping.js").Kind} Kind */
@@ -231,7 +231,7 @@ export class ShapePanel {
     const value = this.studio.labels.value.find(({ name }) => name === entry.label)?.value;
     const disc_mm = figure(2 * entry.radius_mm, 1);
     if (disc === null || lattice === null || value === undefined) return say("end_disc", { disc: disc_mm });
-    const isInside = (/** @type {import("../pictures/geometry.js").Vector} */ mm) => {
+    const isInside = (/** @type {import("../shared/geometry.js").Vector} */ mm) => {
       const voxel = lattice.voxelAt(mm);
       return voxel !== null && this.hands.labelValueAt?.(voxel) === value;
     };

@@ -4,7 +4,7 @@ import { Signal } from "../shared/signal.js";
 import { language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Problem} Problem */
-/** @typedef {import("../pictures/views.js").Views} Views */
+/** @typedef {import("../painting/pictures/views.js").Views} Views */
 /** @typedef {import("./shaping.js").Ask} Ask */
 
 /** Strokes and acts that follow on each other at once are waited for. */

@@ -3,7 +3,7 @@
 import { Signal } from "../shared/signal.js";
 import { rounded } from "./discs.js";
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../shared/geometry.js").Vector} Vector */
 /** @typedef {import("./discs.js").Disc} Disc */
 /** @typedef {"ends" | "edits" | "landmarks" | "pins" | "walls.thickness" | "walls.septum" | "walls.contact"} List */
 /** @typedef {Record<string, any>} Entry a line of the recipe, as it stands there */

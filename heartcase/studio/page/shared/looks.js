@@ -1,7 +1,7 @@
 /** Colours and language, chosen the same way on every page. */
 
+import { fillWords, language, LANGUAGES, say, timeLeft } from "./words.js";
 import { keep, kept } from "./settings.js";
-import { fillWords, language, LANGUAGES } from "./words.js";
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -52,4 +52,12 @@ export function tellLost(state, words) {
   for (const part of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("body > :is(header, main, .time-bar)"))) {
     part.inert = state === "stranger";
   }
+}
+
+/** Say below what is waited for that this machine gets ready, and for how long. @param {HTMLElement} shown @param {import("./connection.js").Message} message */
+export function showCompiling(shown, message) {
+  shown.hidden = message.fraction === null;
+  if (message.fraction === null) return;
+  const percent = String(Math.floor(100 * message.fraction));
+  shown.textContent = say("opening_compiling", { percent, left: timeLeft(message.seconds_left) });
 }

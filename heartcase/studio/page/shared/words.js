@@ -1,6 +1,6 @@
 /** The page's words, in the language that was chosen. */
 
-import { SIDES } from "../pictures/geometry.js";
+import { SIDES } from "./geometry.js";
 import { words as de } from "../words/de.js";
 import { words as en } from "../words/en.js";
 import { words as preparingDe } from "../words/preparing_de.js";
@@ -87,7 +87,7 @@ export function figure(value, digits) {
   return value.toLocaleString(language.value, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
 
-/** A position as text: "L 12.3  P 4.0  H 1.2" in mm. @param {import("../pictures/geometry.js").Vector} mm @param {string} [between] */
+/** A position as text: "L 12.3  P 4.0  H 1.2" in mm. @param {import("./geometry.js").Vector} mm @param {string} [between] */
 export function positionText(mm, between = "  ") {
   return mm.map((value, axis) => `${SIDES[2 * axis + (value < 0 ? 0 : 1)]} ${figure(Math.abs(value), 1)}`).join(between);
 }

@@ -1,6 +1,6 @@
 /** A folder of this machine: the browser cannot name files, so the server lists them. */
 
-import { element, icon } from "../panel/structures.js";
+import { element, icon } from "../shared/elements.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */

@@ -1,6 +1,6 @@
 /** What was opened last, and the sample cases. */
 
-import { element, icon } from "../panel/structures.js";
+import { element, icon } from "../shared/elements.js";
 import { isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("./chooser.js").Ask} Ask */

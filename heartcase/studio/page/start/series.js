@@ -1,6 +1,6 @@
 /** The series of a scan, as a table with pictures: one is chosen, and a recipe is begun for it. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 
 /** @typedef {import("./chooser.js").Ask} Ask */

@@ -1,6 +1,6 @@
 /** The start page: what was opened last, folders and series on this machine, sample cases. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { runLanguage, runTheme, tellLost } from "../shared/looks.js";
 import { fillWords, language, say, timeLeft } from "../shared/words.js";

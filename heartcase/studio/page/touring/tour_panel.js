@@ -1,6 +1,6 @@
 /** The guided tour beside the heart: text, questions, and from step to step. All text is set as text, never as markup. */
 
-import { element } from "../panel/structures.js";
+import { element } from "../shared/elements.js";
 import { language, say } from "../shared/words.js";
 
 /** @typedef {import("./scene.js").Scene} Scene */

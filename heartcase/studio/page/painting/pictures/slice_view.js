@@ -1,13 +1,13 @@
 /** One slice on the page: its tile, its camera, and where its plane lies. */
 
-import { boxMeetsPlane, Camera, PATIENT_FRAMES, plus, dot } from "./geometry.js";
+import { boxMeetsPlane, Camera, PATIENT_FRAMES, plus, dot } from "../../shared/geometry.js";
 
-/** @typedef {import("./geometry.js").Lattice} Lattice */
-/** @typedef {import("./geometry.js").Rectangle} Rectangle */
-/** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Lattice} Lattice */
+/** @typedef {import("../../shared/geometry.js").Rectangle} Rectangle */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 /** @typedef {{x: number, y: number, width: number, height: number}} Part of the canvas, device pixels from below */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../shared/studio.js").ViewName} ViewName */
+/** @typedef {import("../studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").ViewName} ViewName */
 
 /** Device pixels around what changed that are drawn anew with it, beside the width of an outline. */
 const RIM = 2;

@@ -1,11 +1,11 @@
 /** Structures that are added to the recipe's list, and taken out of it again. */
 
-import { language, say, structureName } from "../shared/words.js";
-import { element } from "./structures.js";
+import { language, say, structureName } from "../../shared/words.js";
+import { element } from "../../shared/elements.js";
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../shaping/shaping.js").Shaping} Shaping */
-/** @typedef {import("../shaping/shaping.js").NewLabel} NewLabel */
+/** @typedef {import("../studio.js").Studio} Studio */
+/** @typedef {import("../../shaping/shaping.js").Shaping} Shaping */
+/** @typedef {import("../../shaping/shaping.js").NewLabel} NewLabel */
 
 /** Colours of structures that the vocabulary lacks, one after the other: told apart from those of the heart and from each other. */
 const COLOURS = ["#2fbf71", "#e05ab8", "#00a6a6", "#b8a200", "#8c6bff", "#d97a00", "#5aa9e6", "#a35d3d"];
@@ -39,7 +39,7 @@ export function runNewStructure(studio, shaping) {
     which.value = [...which.options].some((one) => one.value === chosen) ? chosen : (which.options[0]?.value ?? "");
     const roles = shaping.facts.value?.roles ?? [];
     const chosenRole = role.value || roles[0];
-    role.replaceChildren(...roles.map((one) => option(one, say(/** @type {import("../shared/words.js").Word} */ (`role_${one}`)))));
+    role.replaceChildren(...roles.map((one) => option(one, say(/** @type {import("../../shared/words.js").Word} */ (`role_${one}`)))));
     role.value = chosenRole ?? "";
     propose();
   };

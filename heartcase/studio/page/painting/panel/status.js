@@ -1,15 +1,15 @@
 /** What goes on: saved or not, connected or not, what was refused, how far the opening is. */
 
-import { tellLost } from "../shared/looks.js";
-import { figure, language, positionText, say, structureName, timeLeft } from "../shared/words.js";
-import { element } from "./structures.js";
+import { element, problemList } from "../../shared/elements.js";
+import { showCompiling, tellLost } from "../../shared/looks.js";
+import { figure, language, positionText, say, structureName } from "../../shared/words.js";
 
-/** @typedef {import("../shared/connection.js").Problem} Problem */
-/** @typedef {import("../shared/connection.js").Connection} Connection */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../../shared/connection.js").Problem} Problem */
+/** @typedef {import("../../shared/connection.js").Connection} Connection */
+/** @typedef {import("../studio.js").Studio} Studio */
 /** @typedef {import("../pictures/views.js").Views} Views */
-/** @typedef {import("../shared/words.js").Word} Word */
-/** @typedef {import("../shared/connection.js").Message} Message */
+/** @typedef {import("../../shared/words.js").Word} Word */
+/** @typedef {import("../../shared/connection.js").Message} Message */
 
 export class Status {
   /**
@@ -30,7 +30,7 @@ export class Status {
     };
     find("notice-close").addEventListener("click", () => this.clear());
     for (const signal of [connection.state, connection.changing, studio.ready, studio.saved, studio.spreads, language]) {
-      /** @type {import("../shared/signal.js").Signal<any>} */ (signal).follow(() => this.#tellState());
+      /** @type {import("../../shared/signal.js").Signal<any>} */ (signal).follow(() => this.#tellState());
     }
     studio.hover.follow(() => this.#tellPointer());
     studio.crosshair.listen(() => this.#tellPointer());
@@ -101,24 +101,4 @@ export class Status {
     }
     this.parts.under.textContent = text;
   }
-}
-
-/** Say below what is waited for that this machine gets ready, and for how long. @param {HTMLElement} shown @param {Message} message */
-export function showCompiling(shown, message) {
-  shown.hidden = message.fraction === null;
-  if (message.fraction === null) return;
-  const percent = String(Math.floor(100 * message.fraction));
-  shown.textContent = say("opening_compiling", { percent, left: timeLeft(message.seconds_left) });
-}
-
-/** @param {readonly Problem[]} problems */
-export function problemList(problems) {
-  const list = element("ul", "problems");
-  for (const { place, message } of problems) {
-    const row = element("li");
-    if (place) row.append(element("span", "place", place), document.createTextNode(": "));
-    row.append(document.createTextNode(message));
-    list.append(row);
-  }
-  return list;
 }

@@ -1,6 +1,6 @@
 /** The three slices and the solids: drawn into one canvas behind their tiles, each only when it changed. */
 
-import { Lattice, plus } from "./geometry.js";
+import { Lattice, plus } from "../../shared/geometry.js";
 import { PATIENT_PLANES, turned, turnedPlanes } from "./planes.js";
 import { drawOverlay, drawSolidOverlay, sidesOf } from "./overlay.js";
 import { SliceShader } from "./slice_shader.js";
@@ -9,11 +9,11 @@ import { lightOf, SolidShader } from "./solid_shader.js";
 import { SolidView } from "./solid_view.js";
 import { SurfaceShader } from "./surface_shader.js";
 import { Volume } from "./volume.js";
-import { say } from "../shared/words.js";
+import { say } from "../../shared/words.js";
 
-/** @typedef {import("./geometry.js").Vector} Vector */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../shared/studio.js").ViewName} ViewName */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
+/** @typedef {import("../studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").ViewName} ViewName */
 /** @typedef {import("../tools/measures.js").Measures} Measures */
 
 const TURN_STEP_DEGREES = 5;

@@ -1,6 +1,6 @@
 /** Undo and redo, key after key: none is lost that is pressed before the answer to the one before, or to a stroke, is there. */
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").Studio} Studio */
 /** @typedef {import("./brush.js").Brush} Brush */
 
 export class Steps {

@@ -3,11 +3,11 @@
  * ahead of the server than it keeps up with. What they change comes back as labels; the page paints none by itself.
  */
 
-import { Lost, Refused } from "../shared/connection.js";
-import { distance } from "../pictures/geometry.js";
+import { Lost, Refused } from "../../shared/connection.js";
+import { distance } from "../../shared/geometry.js";
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
+/** @typedef {import("../studio.js").Studio} Studio */
 /** @typedef {(request: Record<string, unknown> & {do: string}) => Promise<unknown>} Ask */
 
 /** Messages of a stroke that may be under way at once: points wait here meanwhile, and go together. */
@@ -39,7 +39,7 @@ export class Brush {
   /**
    * @param {Studio} studio
    * @param {Ask} ask
-   * @param {(problems: readonly import("../shared/connection.js").Problem[]) => void} onRefused
+   * @param {(problems: readonly import("../../shared/connection.js").Problem[]) => void} onRefused
    * @param {(callback: () => void) => void} [nextFrame]
    */
   constructor(studio, ask, onRefused, nextFrame = (callback) => requestAnimationFrame(callback)) {

@@ -1,14 +1,14 @@
 /** The keyboard: every tool has a key, and a slice can be painted by keys alone. */
 
-import { keep, kept } from "../shared/settings.js";
-import { Signal } from "../shared/signal.js";
+import { keep, kept } from "../../shared/settings.js";
+import { Signal } from "../../shared/signal.js";
 
 /** @typedef {import("../pictures/views.js").Views} Views */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").Studio} Studio */
 /** @typedef {import("./pointers.js").Pointers} Pointers */
 /** @typedef {import("./brush.js").Brush} Brush */
 /** @typedef {import("./measures.js").Measures} Measures */
-/** @typedef {import("../shared/words.js").Word} Word */
+/** @typedef {import("../../shared/words.js").Word} Word */
 /** @typedef {{undo: () => void, redo: () => void, nextPlace: () => void, placeRight: () => void, placeWrong: () => void, shape: () => void, removeShape: () => boolean}} Actions */
 
 /** Held longer than this, the space bar was not tapped. */
@@ -106,7 +106,7 @@ export class Shortcuts {
   #choose(event, key) {
     const { studio } = this;
     if (event.repeat) return /^[bxvma0-9eo lft]$/.test(key) || key === "Alt";
-    /** @type {Record<string, import("../shared/studio.js").Tool>} */
+    /** @type {Record<string, import("../studio.js").Tool>} */
     const tools = { b: "brush", x: "eraser", v: "pointer", m: "ruler", a: "angle" };
     if (tools[key]) studio.take(tools[key]);
     else if (/^[0-9]$/.test(key)) {

@@ -1,9 +1,9 @@
 /** To a place with a structure picked and the brush in hand: what is done where a question about a place is answered with no. */
 
-import { SMALLEST_RADIUS_MM } from "../shared/studio.js";
+import { SMALLEST_RADIUS_MM } from "../studio.js";
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../studio.js").Studio} Studio */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 
 /**
  * @param {Studio} studio

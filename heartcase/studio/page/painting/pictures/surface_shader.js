@@ -1,8 +1,8 @@
 /** A surface of triangles in the 3-D picture: lit from the viewer's side, cut open at the crosshair where that is asked for. */
 
-/** @typedef {import("./geometry.js").Camera} Camera */
-/** @typedef {import("./geometry.js").Lattice} Lattice */
-/** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Camera} Camera */
+/** @typedef {import("../../shared/geometry.js").Lattice} Lattice */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 /** @typedef {{x: number, y: number, width: number, height: number}} Part device pixels from below */
 
 const VERTEX = `#version 300 es

@@ -1,8 +1,8 @@
 /** Draws a plane through the scan with its labels: intensities interpolated, labels as they are. */
 
-/** @typedef {import("./geometry.js").Camera} Camera */
-/** @typedef {import("./geometry.js").Lattice} Lattice */
-/** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Camera} Camera */
+/** @typedef {import("../../shared/geometry.js").Lattice} Lattice */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 /** @typedef {import("./slice_view.js").Part} Part */
 /** @typedef {import("./volume.js").Volume} Volume */
 /** @typedef {{low: number, high: number, opacity: number, outline: boolean}} Look */

@@ -2,7 +2,7 @@
 
 import { EXACT_TO, halfFloats } from "./half_float.js";
 
-/** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 
 /** Voxels along a side of the blocks that empty space is skipped by. */
 const BLOCK = 8;

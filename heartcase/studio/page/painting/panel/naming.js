@@ -1,13 +1,13 @@
 /** The case's name in the bar: a click lets it be typed anew. */
 
-import { language, say } from "../shared/words.js";
+import { language, say } from "../../shared/words.js";
 
 /** What a name may be made of, as the recipe's schema says. */
 export const NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9 _.\\(\\)+\\-]*";
 
 /**
- * @param {import("../shared/studio.js").Studio} studio
- * @param {import("../shaping/shaping.js").Shaping} shaping
+ * @param {import("../studio.js").Studio} studio
+ * @param {import("../../shaping/shaping.js").Shaping} shaping
  */
 export function runNaming(studio, shaping) {
   const shown = /** @type {HTMLButtonElement} */ (document.getElementById("case-name"));

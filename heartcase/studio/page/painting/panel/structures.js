@@ -1,10 +1,11 @@
 /** The list of structures: which is in hand, which are shown and locked, how large and how far each is. */
 
-import { figure, language, say, structureName } from "../shared/words.js";
+import { element, icon } from "../../shared/elements.js";
+import { figure, language, say, structureName } from "../../shared/words.js";
 import { keyOf } from "../tools/shortcuts.js";
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../shared/studio.js").Label} Label */
+/** @typedef {import("../studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").Label} Label */
 /** @typedef {import("../pictures/views.js").Views} Views */
 /** @typedef {"nothing" | "marked" | "confident" | "unsure"} State */
 
@@ -141,29 +142,4 @@ export class Structures {
 /** @param {HTMLElement} row @param {string} selector */
 function part(row, selector) {
   return /** @type {HTMLElement} */ (row.querySelector(selector));
-}
-
-/**
- * @template {keyof HTMLElementTagNameMap} T
- * @param {T} tag
- * @param {string} [className]
- * @param {string} [text]
- */
-export function element(tag, className = "", text = "") {
-  const made = document.createElement(tag);
-  if (className) made.className = className;
-  if (text) made.textContent = text;
-  return made;
-}
-
-/** One of the page's drawn icons. @param {string} name */
-export function icon(name) {
-  const space = "http://www.w3.org/2000/svg";
-  const drawn = document.createElementNS(space, "svg");
-  drawn.setAttribute("aria-hidden", "true");
-  drawn.setAttribute("class", "icon");
-  const use = document.createElementNS(space, "use");
-  use.setAttribute("href", `#icon-${name}`);
-  drawn.append(use);
-  return drawn;
 }

@@ -4,7 +4,7 @@
  */
 
 /** @typedef {import("./views.js").Views} Views */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").Studio} Studio */
 /** @typedef {(request: Record<string, unknown> & {do: string}) => Promise<any>} Ask */
 
 /** Pieces of the rest are asked for when no labels changed for so long: a stroke under way goes first [ms]. */
@@ -37,7 +37,7 @@ export class Seen {
     this.onFault = onFault;
     this.nextFrame = nextFrame;
     for (const signal of [studio.crosshair, studio.planes, studio.ready]) {
-      /** @type {import("../shared/signal.js").Signal<any>} */ (signal).listen(() => this.#look());
+      /** @type {import("../../shared/signal.js").Signal<any>} */ (signal).listen(() => this.#look());
     }
     studio.ready.listen((ready) => {
       if (!ready) this.#told = "";

@@ -1,15 +1,15 @@
 /** What mouse, pen and fingers do on the slices. */
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 /** @typedef {import("../pictures/slice_view.js").SliceView} SliceView */
 /** @typedef {import("../pictures/views.js").Views} Views */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").Studio} Studio */
 /** @typedef {import("./brush.js").Brush} Brush */
 /** @typedef {import("./measures.js").Measures} Measures */
 /** @typedef {{x: number, y: number}} Point */
 /** @typedef {{kind: "pan" | "window" | "crosshair" | "paint" | "measure" | "shape" | "fingers" | "turn", view: SliceView, pointer: number, x: number, y: number, moved: boolean, isRaw?: boolean}} Drag */
 
-import { draggedWindow } from "../pictures/geometry.js";
+import { draggedWindow } from "../../shared/geometry.js";
 import { handlesOf, isOnHandle } from "../pictures/planes.js";
 
 /** Wheel travel of one slice, pixels: that of one notch on most mice is 100 to 120. */
@@ -32,7 +32,7 @@ export class Pointers {
   #penAt = -Infinity;
   /** Space was held for a drag, and not for a swap of tools. */
   hasPanned = false;
-  /** What acts on the lines of the recipe. @type {import("../shaping/hands.js").Hands | null} */
+  /** What acts on the lines of the recipe. @type {import("../../shaping/hands.js").Hands | null} */
   hands = null;
 
   /**
@@ -48,7 +48,7 @@ export class Pointers {
     this.measures = measures;
     for (const view of views.all) this.#listen(view);
     for (const signal of [studio.crosshair, studio.planes]) {
-      /** @type {import("../shared/signal.js").Signal<any>} */ (signal).listen(() => this.#stay());
+      /** @type {import("../../shared/signal.js").Signal<any>} */ (signal).listen(() => this.#stay());
     }
     views.onMoved = () => this.#stay();
   }

@@ -1,12 +1,12 @@
 /** The bar above: tools, brush size, undo, window, what is shown; theme and language. */
 
-import { runLanguage, runTheme } from "../shared/looks.js";
-import { LARGEST_RADIUS_MM, SMALLEST_RADIUS_MM } from "../shared/studio.js";
-import { figure, isWord, language, say, structureName } from "../shared/words.js";
+import { runLanguage, runTheme } from "../../shared/looks.js";
+import { LARGEST_RADIUS_MM, SMALLEST_RADIUS_MM } from "../studio.js";
+import { figure, isWord, language, say, structureName } from "../../shared/words.js";
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../shared/studio.js").Tool} Tool */
-/** @typedef {import("../shared/studio.js").Range} Range */
+/** @typedef {import("../studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").Tool} Tool */
+/** @typedef {import("../studio.js").Range} Range */
 
 /** Windows that radiologists use on CT, Hounsfield units. @type {Record<string, Range>} */
 const CT_WINDOWS = {
@@ -63,7 +63,7 @@ function runInHand(studio) {
     name.textContent = name.title = say("in_hand", { name: structureName(label.name) });
   };
   for (const signal of [studio.labels, studio.picked, studio.tool, studio.erasing, language]) {
-    /** @type {import("../shared/signal.js").Signal<any>} */ (signal).follow(tell);
+    /** @type {import("../../shared/signal.js").Signal<any>} */ (signal).follow(tell);
   }
 }
 
@@ -117,7 +117,7 @@ function runWindow(studio) {
     const options = ["window_choose", ...names].map((name) => {
       const option = document.createElement("option");
       option.value = name;
-      option.textContent = say(/** @type {import("../shared/words.js").Word} */ (name));
+      option.textContent = say(/** @type {import("../../shared/words.js").Word} */ (name));
       return option;
     });
     select.replaceChildren(...options);

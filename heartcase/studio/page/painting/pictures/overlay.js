@@ -1,12 +1,12 @@
 /** What lies over a slice: crosshair, brush, the stroke under way, measurements, scale bar and letters. */
 
-import { figure } from "../shared/words.js";
+import { figure } from "../../shared/words.js";
 import { handlesOf, lineOf, VIEWS } from "./planes.js";
-import { angleDegrees, distance, orientationLetters, plus, roundLength, sectionRadius } from "./geometry.js";
+import { angleDegrees, distance, orientationLetters, plus, roundLength, sectionRadius } from "../../shared/geometry.js";
 
-/** @typedef {import("./geometry.js").Camera} Camera */
-/** @typedef {import("./geometry.js").Vector} Vector */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../../shared/geometry.js").Camera} Camera */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
+/** @typedef {import("../studio.js").Studio} Studio */
 /** @typedef {import("../tools/measures.js").Measure} Measure */
 
 /** Light lines keep their contrast on white tissue through a dark rim. */

@@ -1,9 +1,9 @@
 /** The structures as solids, seen from outside: which way one looks, and how finely it is drawn. */
 
-import { Camera, dot, plus, turntable } from "./geometry.js";
+import { Camera, dot, plus, turntable } from "../../shared/geometry.js";
 
-/** @typedef {import("./geometry.js").Vector} Vector */
-/** @typedef {import("./geometry.js").Lattice} Lattice */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Lattice} Lattice */
 /** @typedef {import("./volume.js").Volume} Volume */
 
 const FRAME_MS = 40;

@@ -1,11 +1,11 @@
 /** Which planes the slices show: the patient's, the scan's, the heart's own, or turned by hand. */
 
 import { heartPlanes, lacking, PATIENT_PLANES, scanPlanes, VIEWS } from "../pictures/planes.js";
-import { language, say } from "../shared/words.js";
-import { element } from "./structures.js";
+import { language, say } from "../../shared/words.js";
+import { element } from "../../shared/elements.js";
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../shared/words.js").Word} Word */
+/** @typedef {import("../studio.js").Studio} Studio */
+/** @typedef {import("../../shared/words.js").Word} Word */
 /** @typedef {import("../pictures/views.js").Views} Views */
 /** @typedef {import("../pictures/planes.js").Found} Found */
 
@@ -77,10 +77,10 @@ export function runPlanes(studio, views, ask, onFault) {
     find(id).addEventListener("click", () => views.turnStep(way));
   }
   for (const signal of [studio.planes, studio.lattice, studio.activeView, language]) {
-    /** @type {import("../shared/signal.js").Signal<any>} */ (signal).listen(tell);
+    /** @type {import("../../shared/signal.js").Signal<any>} */ (signal).listen(tell);
   }
   for (const signal of [studio.planes, language]) {
-    /** @type {import("../shared/signal.js").Signal<any>} */ (signal).listen(() => tellTitles(studio, views));
+    /** @type {import("../../shared/signal.js").Signal<any>} */ (signal).listen(() => tellTitles(studio, views));
   }
   tell();
 }

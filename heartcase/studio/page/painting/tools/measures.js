@@ -1,8 +1,8 @@
 /** Rulers and angles: lengths and angles of what is seen. They are the page's alone, and gone when it is closed. */
 
-import { Signal } from "../shared/signal.js";
+import { Signal } from "../../shared/signal.js";
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 /** @typedef {{kind: "ruler" | "angle", points: Vector[]}} Measure */
 
 const POINTS = { ruler: 2, angle: 3 };

@@ -1,11 +1,11 @@
 /** What the parts of the page share: what is open, what is in hand, and where one looks. */
 
-import { PATIENT_PLANES } from "../pictures/planes.js";
-import { keep, keptNumber } from "./settings.js";
-import { Signal } from "./signal.js";
+import { PATIENT_PLANES } from "./pictures/planes.js";
+import { keep, keptNumber } from "../shared/settings.js";
+import { Signal } from "../shared/signal.js";
 
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
-/** @typedef {import("../pictures/geometry.js").Lattice} Lattice */
+/** @typedef {import("../shared/geometry.js").Vector} Vector */
+/** @typedef {import("../shared/geometry.js").Lattice} Lattice */
 /** @typedef {"pointer" | "brush" | "eraser" | "ruler" | "angle" | "shape"} Tool */
 /** @typedef {"axial" | "coronal" | "sagittal"} ViewName */
 /** @typedef {{value: number, name: string, colour: string, role: string}} Label */

@@ -2,9 +2,9 @@
 
 import { linked } from "./slice_shader.js";
 
-/** @typedef {import("./geometry.js").Camera} Camera */
-/** @typedef {import("./geometry.js").Lattice} Lattice */
-/** @typedef {import("./geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Camera} Camera */
+/** @typedef {import("../../shared/geometry.js").Lattice} Lattice */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 /** @typedef {import("./volume.js").Volume} Volume */
 
 const VERTEX = `#version 300 es

@@ -1,11 +1,10 @@
 /** A draft that is dropped on the page, or chosen: how it is to be taken, and what is wrong with it. */
 
-import { figure, language, say } from "../shared/words.js";
-import { problemList } from "./status.js";
-import { element } from "./structures.js";
+import { figure, language, say } from "../../shared/words.js";
+import { element, problemList } from "../../shared/elements.js";
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
-/** @typedef {import("../shared/connection.js").Problem} Problem */
+/** @typedef {import("../studio.js").Studio} Studio */
+/** @typedef {import("../../shared/connection.js").Problem} Problem */
 
 /** How deep inside its labels a draft is trusted, mm. */
 const CORE_MM = 3;

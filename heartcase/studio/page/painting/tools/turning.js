@@ -1,7 +1,7 @@
 /** What mouse, pen, fingers and keys do on the solids: turn, move, zoom, and a click that takes the slices there. */
 
 /** @typedef {import("../pictures/views.js").Views} Views */
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").Studio} Studio */
 
 const DEGREES_PER_PIXEL = 0.5;
 const KEY_DEGREES = 15;

@@ -3,12 +3,12 @@
  * Pure maths; angles in a view go from its right to its lower side.
  */
 
-import { dot, PATIENT_FRAMES, plus, scanFrames } from "./geometry.js";
+import { dot, PATIENT_FRAMES, plus, scanFrames } from "../../shared/geometry.js";
 
-/** @typedef {import("./geometry.js").Vector} Vector */
-/** @typedef {import("./geometry.js").Frame} Frame */
-/** @typedef {import("./geometry.js").Frames} Frames */
-/** @typedef {import("./geometry.js").Lattice} Lattice */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Frame} Frame */
+/** @typedef {import("../../shared/geometry.js").Frames} Frames */
+/** @typedef {import("../../shared/geometry.js").Lattice} Lattice */
 /** @typedef {"axial" | "coronal" | "sagittal"} ViewName */
 /** @typedef {"short_axis" | "four_chamber" | "two_chamber" | "three_chamber"} HeartPlane */
 /** @typedef {ViewName | HeartPlane} Title */

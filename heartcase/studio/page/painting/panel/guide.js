@@ -1,12 +1,12 @@
 /** What to do next: the place where one more stroke is worth most, and the list of what is still missing. */
 
-import { figure, isWord, language, say, structureName } from "../shared/words.js";
+import { figure, isWord, language, say, structureName } from "../../shared/words.js";
 import { paintHere } from "./paint_here.js";
-import { element } from "./structures.js";
+import { element } from "../../shared/elements.js";
 
-/** @typedef {import("../shared/studio.js").Studio} Studio */
+/** @typedef {import("../studio.js").Studio} Studio */
 /** @typedef {import("../pictures/views.js").Views} Views */
-/** @typedef {import("../pictures/geometry.js").Vector} Vector */
+/** @typedef {import("../../shared/geometry.js").Vector} Vector */
 /** @typedef {{position_mm: Vector, label: string, rival: string, change_ml: number, radius_mm: number}} Place */
 /** @typedef {{key: string, done: boolean, missing: string[]}} Item */
 
@@ -16,7 +16,7 @@ const COUNT = 12;
 /** Where it is in the sample heart. @param {string} key @param {string} words */
 function pictureOf(key, words) {
   const picture = element("img", "where");
-  picture.src = `/static/guide/${key}.png`;
+  picture.src = `/static/painting/guide/${key}.png`;
   picture.alt = picture.title = words;
   picture.width = 68;
   picture.height = 68;
