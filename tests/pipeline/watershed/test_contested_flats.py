@@ -240,3 +240,56 @@ def test_what_is_not_done_is_taken_back_at_once():
             assert not forest.is_dividing
             np.testing.assert_array_equal(forest.marks, marks)
             np.testing.assert_array_equal(forest._division.distance, distance)
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    at_once=st.sampled_from([1, 6, 40]),
+    in_pauses=st.sampled_from([3, 25]),
+    small=st.sampled_from([0.0, 2.0]),
+    behind=st.sampled_from([0, 10**9]),
+    raised=st.sampled_from([0.0, 0.3]),
+)
+def test_labels_come_and_go_in_one_flat(seed, at_once, in_pauses, small, behind, raised):
+    """Strokes, erasers, undo, and all of a label erased, while labels spread or not: as it is solved anew."""
+    rng = np.random.default_rng(seed)
+    shape = (2, 5, 9)
+    tree = build_basin_tree((rng.random(shape) < raised).astype(np.float32), *costs(shape, seed))
+    painted = np.full(shape, UNMARKED, np.uint8)
+    limits = patch.multiple(module, DIVIDED_AT_ONCE=at_once, DIVIDED_IN_PAUSES=in_pauses, BEHIND_FROM=behind)
+    with limits, patch.object(division, "SMALL_SHARE", small):
+        forest = solve_forest(tree, painted)
+        forest.puts_off = True
+        undone = []
+        for _ in range(rng.integers(4, 16)):
+            what = rng.integers(5)
+            if what == 0 and undone:
+                voxels, values = undone.pop()
+            elif what == 1:
+                voxels = np.flatnonzero(painted == rng.integers(3))
+                values = np.full(len(voxels), UNMARKED, np.uint8)
+            else:
+                voxels = rng.choice(painted.size, rng.integers(1, 5), replace=False)
+                values = np.full(len(voxels), UNMARKED if what == 2 else rng.integers(3), np.uint8)
+            undone.append((voxels, painted.flat[voxels]))
+            forest.restore(voxels, values)
+            painted.flat[voxels] = values
+            for _ in range(rng.choice([0, 1, 3, 20])):
+                forest.fill_some()
+            how = rng.integers(5)
+            if how == 0:
+                counts = np.bincount(solve_forest(tree, painted).labels.ravel(), minlength=256)
+                np.testing.assert_array_equal(forest.label_counts(), counts)
+            elif how == 1:
+                forest.settle()
+                np.testing.assert_array_equal(forest.labels, solve_forest(tree, painted).labels)
+            elif how == 2:
+                anew, copy = solve_forest(tree, painted), forest.copy()
+                for one in (forest, copy):
+                    one.fill()
+                    for name in ("marks", "lowest_mark", "foot_label", "foot_level"):
+                        np.testing.assert_array_equal(getattr(one, name), getattr(anew, name))
+                    has_same_division(one, anew)
+        forest.settle()
+        np.testing.assert_array_equal(forest.labels, solve_forest(tree, painted).labels)
