@@ -102,9 +102,9 @@ def test_an_oblique_scan_has_the_sides_that_its_matrix_says(chromium, tmp_path):
         page.drawn()
         # turned by 35 degrees about the head-foot axis: 0.82 to the patient's left, 0.57 to the back
         sides = {view: page.text(f"#sides-{view}") for view in ("axial", "coronal", "sagittal")}
-        assert sides["axial"] == "Left RA, right LP, above AL, below PR."
-        assert sides["coronal"] == "Left RA, right LP, above H, below F."
-        assert sides["sagittal"] == "Left AL, right PR, above H, below F."
+        assert sides["axial"] == "Left R·A, right L·P, above A·L, below P·R."
+        assert sides["coronal"] == "Left R·A, right L·P, above H, below F."
+        assert sides["sagittal"] == "Left A·L, right P·R, above H, below F."
         # and the bright block is seen as a box again, where the matrix has it
         i_left, j_back = -TURNED[:, 0], TURNED[:, 1]
         frames = {"axial": (i_left, j_back), "coronal": (i_left, (0, 0, -1)), "sagittal": (j_back, (0, 0, -1))}
