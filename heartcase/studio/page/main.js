@@ -178,7 +178,9 @@ function run() {
   /** @param {readonly import("./painting/studio.js").Label[]} labels */
   function tellLabels(labels) {
     studio.labels.value = labels;
-    // what was in hand may be gone
+    // what was hidden or in hand may be gone
+    const values = new Set(labels.map(({ value }) => value));
+    if ([...studio.hidden.value].some((one) => !values.has(one))) studio.hidden.value = new Set([...studio.hidden.value].filter((one) => values.has(one)));
     if (studio.pickedLabel === null) studio.picked.value = labels.find(({ role }) => role !== "background")?.value ?? null;
   }
 
