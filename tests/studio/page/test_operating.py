@@ -191,6 +191,7 @@ def test_a_story_by_mouse(chromium, operated):
         stored = open_recording(operated.recipe.parent / "block-1.recording")
         assert {one.command.kind for one in stored.entries} >= {"close_grab", "open_grab", "cut"}
         kept = json.dumps(tab.evaluate("() => ({...localStorage})"))
+        assert '"heartcase studio: skip_pauses": "off"' in kept
         assert "block" not in kept
 
 

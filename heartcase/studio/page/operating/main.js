@@ -162,6 +162,7 @@ function run() {
     picture.redraw();
   });
   const skipPauses = /** @type {HTMLInputElement} */ (find("skip-pauses"));
+  skipPauses.checked = kept("skip_pauses") !== "off";
   /** Whether a recording is being opened, and said so. */
   let isOpening = false;
   /** @param {string} name @param {boolean} [skips] */
@@ -297,7 +298,10 @@ function run() {
     beside.speed = Number(speed.value);
     if (beside.mode === "playing") void actions.play();
   });
-  skipPauses.addEventListener("change", () => beside.mode === "playing" && void actions.play());
+  skipPauses.addEventListener("change", () => {
+    keep("skip_pauses", skipPauses.checked ? "on" : "off");
+    if (beside.mode === "playing") void actions.play();
+  });
   const strain = /** @type {HTMLInputElement} */ (find("strain"));
   strain.addEventListener("change", () => {
     picture.heart.uniforms.showsStretch.value = strain.checked;

@@ -3,7 +3,7 @@
  */
 
 const PREFIX = "heartcase studio: ";
-const KEPT = /** @type {const} */ (["theme", "language", "radius_mm", "opacity", "outline", "keys"]);
+const KEPT = /** @type {const} */ (["theme", "language", "radius_mm", "opacity", "outline", "keys", "skip_pauses"]);
 
 /** @typedef {typeof KEPT[number]} Setting */
 
