@@ -246,7 +246,10 @@ class LabelTable(Model):
         ValueError
             All are.
         """
-        return min(set(range(1, 251)) - set(self.values))
+        free = set(range(1, 251)) - set(self.values)
+        if not free:
+            raise ValueError("every label value from 1 to 250 is taken: remove a label, or the wall of one")
+        return min(free)
 
     def wall_value(self, cavity: int) -> int | None:
         """Value of the wall grown around this cavity, or None."""

@@ -6,6 +6,7 @@ import tomllib
 
 import numpy as np
 import pytest
+import SimpleITK
 
 from heartcase.schemas.recipe.recipe import parse_recipe
 from tests.studio.talking import page, studio, write_recipe
@@ -184,6 +185,82 @@ def test_what_the_recipe_names_cannot_be_removed(recipe):
             assert answer["kind"] == "refused"
             assert said in json.dumps(answer["problems"])
         assert path.read_bytes() == text
+
+
+def test_the_last_structure_stays(recipe):
+    path, _ = recipe
+    path.write_text(path.read_text() + '\n[[labels]]\nvalue = 3\nname = "aorta"\nrole = "vessel_lumen"\n')
+    text = path.read_bytes()
+    with studio(path) as browser, page(browser) as talker:
+        (problem,) = talker.ask(do="remove_label", label="aorta")["problems"]
+        assert "the last structure" in problem["message"]
+        assert path.read_bytes() == text
+
+
+def test_of_values_there_are_250(recipe):
+    path, _ = recipe
+    labels = (f'\n[[labels]]\nvalue = {n}\nname = "part {n}"\nrole = "device"\n' for n in range(1, 250))
+    path.write_text(path.read_text() + "".join(labels))
+    text = path.read_bytes()
+    vein = {"name": "vein", "role": "vessel_lumen", "wall_thickness_mm": 1.0}
+    with studio(path) as browser, page(browser) as talker:
+        # one for the vein, and none for its wall
+        (problem,) = talker.ask(do="add_label", entry=vein)["problems"]
+        assert "every label value from 1 to 250 is taken" in problem["message"]
+        assert path.read_bytes() == text
+        assert talker.ask(do="add_label", entry={"name": "vein", "role": "vessel_lumen"})["kind"] == "done"
+        (problem,) = talker.ask(do="add_label", entry={"name": "clip", "role": "device"})["problems"]
+        assert "every label value from 1 to 250 is taken" in problem["message"]
+
+
+def test_a_lock_goes_with_its_structure(recipe):
+    path, _ = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="lock", label="aorta", locked=True)
+        talker.ask(do="remove_label", label="aorta")
+        talker.ask(do="add_label", entry={"name": "aorta", "role": "vessel_lumen"})
+    with studio(path) as browser, page(browser) as talker:
+        assert last(talker, "structures")["locked"] == []
+
+
+@pytest.mark.parametrize("added", ["morphologically right ventricular myocardium", "myocardium"])
+def test_no_structure_is_added_by_which_a_name_means_another_one(recipe, added):
+    """Of one myocardium alone "myocardium" is the name, too."""
+    path, middle = recipe
+    stroke = f'\n[[strokes]]\nlabel = "myocardium"\nradius_mm = 1.0\npoints_mm = [{middle}]\n'
+    plain = path.read_text()
+    for text in (plain + stroke, plain):
+        path.write_text(text)
+        with studio(path) as browser, page(browser) as talker:
+            if text == plain:
+                talker.ask(do="paint", label="myocardium", radius_mm=1.0, points_mm=[middle])
+                talker.ask(do="end")
+            before = path.read_bytes()
+            (problem,) = talker.ask(do="add_label", entry={"name": added, "role": "myocardium"})["problems"]
+            assert "'myocardium' in the recipe is 'morphologically left ventricular myocardium'" in problem["message"]
+            assert path.read_bytes() == before
+
+
+def test_what_a_marker_file_holds_stays_in_the_table(recipe):
+    """Also where strokes or an eraser cover all of it."""
+    path, middle = recipe
+    image = SimpleITK.ReadImage(str(path.parent / "scan.nii.gz"))
+    marks = SimpleITK.Cast(image, SimpleITK.sitkUInt8) * 0
+    marks[5, 4, 3] = 5
+    SimpleITK.WriteImage(marks, str(path.parent / "draft.nii.gz"))
+    erased = f"\n[[strokes]]\nerase = true\nradius_mm = 3.0\npoints_mm = [{middle}]\n"
+    path.write_text(path.read_text() + '\n[[markers]]\npath = "draft.nii.gz"\n' + erased)
+    text = path.read_bytes()
+    with studio(path) as browser, page(browser) as talker:
+        assert "aorta" not in last(talker, "structures")["marked"]
+        (problem,) = talker.ask(do="remove_label", label="aorta")["problems"]
+        assert problem["place"] == "markers[1]"
+        assert "with this label table draft.nii.gz cannot be read any more" in problem["message"]
+        assert path.read_bytes() == text
+        # what no file holds goes
+        assert talker.ask(do="remove_label", label="pulmonary artery")["kind"] == "done"
+    with studio(path) as browser, page(browser) as talker:
+        assert len(talker.opened["labels"]) == 9
 
 
 def test_edits_of_bare_structures_stand_before_those_that_are_laid_over_them(recipe):

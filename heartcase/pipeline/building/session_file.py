@@ -6,6 +6,8 @@ import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from heartcase.pipeline.artifacts.cache import Cache
 from heartcase.pipeline.building.recipe_text import split_session, strokes_text
 from heartcase.pipeline.building.runner import BuildListener, Runner, SilentListener
@@ -16,9 +18,10 @@ from heartcase.pipeline.stages.read import STAGE as READ
 from heartcase.pipeline.stages.segment import filtered_tree
 from heartcase.pipeline.stages.stage import Work, have
 from heartcase.schemas.bundle.placing import refuse_inside_case
-from heartcase.schemas.errors import RecipeError, UsageError
+from heartcase.schemas.errors import MarkerError, Problem, RecipeError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import LabelTable
 from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_text
 from heartcase.schemas.recipe.settings import Stroke
 
@@ -92,6 +95,30 @@ class RecipeSession:
             self.written_text = text
         self.copies.add(path.resolve())
         return len(self.session.strokes)
+
+    def check_table(self, table: LabelTable) -> None:
+        """Refuse a label table by which a marker file means something else than by the session's.
+
+        Raises
+        ------
+        HeartcaseError
+            One does: every such file.
+        """
+        from heartcase.pipeline.markers.load_markers import stated_markers
+
+        session, problems = self.session, []
+        where = (session.geometry, self.path.parent)
+        for number, file in enumerate(self.recipe.markers, start=1):
+            was = stated_markers((file,), (), session.table, *where, whole=self.whole).labels
+            message = "marks other structures"
+            try:
+                if np.array_equal(was, stated_markers((file,), (), table, *where, whole=self.whole).labels):
+                    continue
+            except MarkerError as error:
+                message = f"cannot be read any more ({'; '.join(one.message for one in error.problems)})"
+            problems.append(Problem(f"markers[{number}]", f"with this label table {file.path} {message}"))
+        if problems:
+            raise UsageError(problems)
 
 
 def open_session(

@@ -65,6 +65,10 @@ class Branches:
         self._known[made.number] = made
         for one in later:
             self._known[one.number] = replace(one, on=made.number)
+        self._tell()
+
+    def trim(self) -> None:
+        """Forget the oldest ones where there are more than :data:`MOST_BRANCHES`, but for those that others lie on."""
         while len(self._known) > MOST_BRANCHES:
             bearing = {one.on for one in self._known.values()}
             del self._known[min(number for number in self._known if number not in bearing)]

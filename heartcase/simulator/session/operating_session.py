@@ -471,15 +471,19 @@ class OperatingSession:
             There is no such branch.
         """
         self.make_cuts(wait=True)
-        branch = self._branches.at(whole_number(number, "branch", error=SimulationError))
+        self._take_up(self._branches.at(whole_number(number, "branch", error=SimulationError)))
+        # not before: it might be one of the oldest itself
+        self._branches.trim()
+
+    def _take_up(self, branch: Branch) -> None:
         if branch.on is not None:
             # its beginning lies on another one
-            self.take_up(branch.on)
+            self._take_up(self._branches.at(branch.on))
         position = branch.position
         self._go_to(position)
         if position < len(self.entries):
             self._drop_ahead(self.step_count)
-        self._branches.take(number)
+        self._branches.take(branch.number)
         for entry in branch.entries:
             self.entries.append(entry)
             if (log := self.log) is not None:
@@ -531,6 +535,7 @@ class OperatingSession:
         """Put what was done into the history."""
         if self.position < len(self.entries):
             self._drop_ahead(step)
+            self._branches.trim()
         self._write(Entry(step=step, command=command))
 
     def _drop_ahead(self, step: int, *, keeps: bool = True) -> None:

@@ -9,7 +9,7 @@ from heartcase.pipeline.markers.session import SegmentationSession
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["lock_again", "lock_label"]
+__all__ = ["keep_locks", "lock_again", "lock_label"]
 
 
 def lock_label(session: SegmentationSession, name: str, *, is_locked: bool, file: Path) -> None:
@@ -35,6 +35,11 @@ def lock_label(session: SegmentationSession, name: str, *, is_locked: bool, file
     if label is None:
         raise UsageError(f"there is no label {name!r}", place="lock")
     session.lock(session.locked | {label.value} if is_locked else session.locked - {label.value})
+    keep_locks(session, file)
+
+
+def keep_locks(session: SegmentationSession, file: Path) -> None:
+    """Remember in a file what is locked."""
     names = sorted(session.table[value].name for value in session.locked)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -25,7 +25,7 @@ from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.toml_places import Place
 from heartcase.studio.messages import boxes_message, labels_message, scan_message, surface_message, text_message
 from heartcase.studio.painting.drafts import Draft
-from heartcase.studio.painting.locks import lock_again, lock_label
+from heartcase.studio.painting.locks import keep_locks, lock_again, lock_label
 from heartcase.studio.painting.place_picture import place_picture
 from heartcase.studio.painting.planes import planes_message
 from heartcase.studio.painting.requests import (
@@ -42,7 +42,7 @@ from heartcase.studio.painting.requests import (
     Rest,
     Suggest,
 )
-from heartcase.studio.painting.right_places import confirm_again, confirm_place
+from heartcase.studio.painting.right_places import confirm_again, confirm_place, keep_places
 from heartcase.studio.painting.shown import Shown, planes_in_voxels
 from heartcase.studio.shaping.facts import shaping_facts
 from heartcase.studio.shaping.requests import (
@@ -100,7 +100,7 @@ class Painting:
     def __init__(self, opened: RecipeSession, history: RecipeHistory, locks: Path) -> None:
         self._opened = opened
         self._history = history
-        self._shaping = Shaping(history, opened.session)
+        self._shaping = Shaping(history, opened.session, opened.check_table)
         self._drawn_by: object | None = None
         self._locks = locks
         self._shown: dict[object, Shown] = {}
@@ -297,7 +297,12 @@ class Painting:
         session, table = self._opened.session, self._history.recipe.table
         before, now = _label_rows(session.table), _label_rows(table)
         session.use_table(table)
-        changed = () if before == now else (text_message("label_table", labels=now),)
+        changed: tuple[str, ...] = ()
+        if before != now:
+            changed = (text_message("label_table", labels=now),)
+            # what is said of a label that is gone is forgotten, also where one of that name is added later
+            keep_locks(session, self._locks)
+            keep_places(session, self._right)
         return *changed, self._shape(), self._structures()
 
     def _shape(self) -> str:

@@ -10,7 +10,7 @@ from heartcase.pipeline.markers.suggest import RightPlace
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
 
-__all__ = ["MOST_PLACES", "confirm_again", "confirm_place"]
+__all__ = ["MOST_PLACES", "confirm_again", "confirm_place", "keep_places"]
 
 MOST_PLACES = 1000
 """The oldest ones go first."""
@@ -45,6 +45,11 @@ def confirm_place(
         values.append(found.value)
     places = dict.fromkeys((*session.right_places, RightPlace(position_mm, *values)))
     session.right_places = tuple(places)[-MOST_PLACES:]
+    keep_places(session, file)
+
+
+def keep_places(session: SegmentationSession, file: Path) -> None:
+    """Remember in a file which places are right."""
     names = {one.value: one.name for one in session.table}
     lines = [
         {"position_mm": one.position_mm, "label": names[one.label], "rival": names[one.rival]}

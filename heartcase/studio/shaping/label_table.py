@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from pydantic import ValidationError
 
 from heartcase.pipeline.building.recipe_text import changed_text
-from heartcase.schemas.errors import UsageError, problems_from_validation
-from heartcase.schemas.labels import BACKGROUND, Label, Role
+from heartcase.schemas.errors import Problem, UsageError, problems_from_validation
+from heartcase.schemas.labels import BACKGROUND, Label, LabelTable, Role
 from heartcase.schemas.recipe.recipe import Recipe
+from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.toml_places import Place
 
-__all__ = ["with_label", "with_wall_thickness", "without_label"]
+__all__ = ["check_names", "with_label", "with_wall_thickness", "without_label"]
 
 _KEYS = ("value", "name", "role", "colour", "wall_thickness_mm", "snomed")
 """What a line says of a label, in this order."""
@@ -48,8 +49,8 @@ def with_label(head: str, recipe: Recipe, entry: Mapping[str, Any]) -> tuple[str
         raise UsageError("is not set on this page: change it in the recipe's file", place=f"labels.{foreign[0]}")
     try:
         value = table.free_value()
-    except ValueError:
-        raise UsageError("every label value is taken: remove a structure first", place="labels") from None
+    except ValueError as error:
+        raise UsageError(str(error), place="labels") from None
     try:
         label = Label.model_validate({"value": value, **stated})
     except ValidationError as error:
@@ -85,13 +86,16 @@ def without_label(head: str, recipe: Recipe, name: str) -> tuple[str, str]:
     Raises
     ------
     UsageError
-        There is no such label, or it is the background.
+        There is no such label, it is the background, or the last structure.
     RecipeError
         The table is written in a way that cannot be changed by itself.
     """
     label = _found(recipe, name, place=f"labels.{name}")
     if label.value == BACKGROUND:
         raise UsageError("the background cannot be removed", place="labels")
+    if len(recipe.table) == 2:
+        # a table without any line is the usual one
+        raise UsageError("the last structure cannot be removed: add another one first", place="labels")
     lines, changes = _lines(head, recipe)
     changes.append((("labels", _number(lines, label)), None))
     return changed_text(head, *changes), f"labels.{label.name}"
@@ -128,6 +132,54 @@ def with_wall_thickness(head: str, recipe: Recipe, name: str, thickness_mm: Any)
     # no wall is what a label has when nothing is said
     changes.append((("labels", _number(lines, label), "wall_thickness_mm"), thickness_mm or None))
     return changed_text(head, *changes), place
+
+
+def check_names(head: str, strokes: Sequence[Stroke], table: LabelTable) -> None:
+    """Refuse a table by which a recipe would name other structures than before.
+
+    Parameters
+    ----------
+    head
+        The recipe's text with the new table, which it states, without the strokes of sessions at its end.
+    strokes
+        These strokes.
+    table
+        The table that was.
+
+    Raises
+    ------
+    UsageError
+        Names mean something else, or nothing any more: each of them.
+    """
+    stated = tomllib.loads(head)
+    try:
+        before, after = table.with_walls(), LabelTable(labels=stated["labels"]).with_walls()
+    except ValueError:
+        # whoever reads the recipe says what is wrong
+        return
+    names = dict.fromkeys([*_words(stated), *(one.label for one in strokes if one.label is not None)])
+    problems = []
+    for name in names:
+        was, now = before.find(name), after.find(name)
+        if was is not None and (now is None or now.name != was.name):
+            means = "nothing" if now is None else repr(now.name)
+            problems.append(Problem("labels", f"{name!r} in the recipe is {was.name!r}, and would mean {means} then"))
+    if problems:
+        raise UsageError(problems)
+
+
+def _words(value: Any) -> Iterator[str]:
+    """All keys and texts of a recipe but for those of the table itself."""
+    if isinstance(value, dict):
+        for key, one in value.items():
+            yield key
+            if key != "labels" or not isinstance(one, list):
+                yield from _words(one)
+    elif isinstance(value, list):
+        for one in value:
+            yield from _words(one)
+    elif isinstance(value, str):
+        yield value
 
 
 def _found(recipe: Recipe, name: str, *, place: str) -> Label:

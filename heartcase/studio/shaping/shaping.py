@@ -16,10 +16,12 @@ from heartcase.pipeline.vessel_ends.end_place import end_place
 from heartcase.pipeline.vessel_ends.find_ends import find_ends
 from heartcase.pipeline.walls.grow_walls import resolve_walls
 from heartcase.schemas.errors import UsageError
-from heartcase.schemas.recipe.recipe import Recipe
+from heartcase.schemas.labels import LabelTable
+from heartcase.schemas.recipe.recipe import Recipe, parse_recipe
 from heartcase.studio.shaping.acts import done_to, plain
 from heartcase.studio.shaping.facts import LINES, SETTINGS
-from heartcase.studio.shaping.requests import Act, Propose, RemoveLabel
+from heartcase.studio.shaping.label_table import check_names
+from heartcase.studio.shaping.requests import Act, AddLabel, Propose, RemoveLabel
 
 __all__ = ["Shaping"]
 
@@ -33,11 +35,16 @@ class Shaping:
         The recipe's text and the acts on it.
     session
         The labels as they are painted now.
+    check_table
+        Raises where marker files mean something else by another table.
     """
 
-    def __init__(self, history: RecipeHistory, session: SegmentationSession) -> None:
+    def __init__(
+        self, history: RecipeHistory, session: SegmentationSession, check_table: Callable[[LabelTable], None]
+    ) -> None:
         self._history = history
         self._session = session
+        self._check_table = check_table
 
     def shape(self) -> dict[str, Any]:
         """What the recipe says now, as plain data."""
@@ -87,6 +94,9 @@ class Shaping:
         if isinstance(request, RemoveLabel):
             self._check_unpainted(request.label)
         head, kind = done_to(history.head, history.recipe, request)
+        if isinstance(request, AddLabel | RemoveLabel):
+            check_names(head, self._session.strokes, history.recipe.table)
+            self._check_table(parse_recipe(head, needs_markers=False).table)
         history.change(kind, head)
         # what was painted and taken back before cannot be done again behind this
         self._session.offer_again(())
