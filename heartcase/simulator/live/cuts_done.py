@@ -54,18 +54,21 @@ class CutsDone:
         self.unheld: Moment | None = None
         self._unheld_cuts: tuple[Cut, ...] = ()
         self.act_count = self._counted = 0
+        self._last: int | None = None
 
     def note(self, session: OperatingSession, frame: Frame) -> None:
         """Take in where the session is; ``frame`` shows it."""
         position = session.position
         known = self.cuts
-        if position < self._counted:
-            known, self._counted, self.act_count = (), 0, 0
-        # only what came since the last time is looked at, where nothing was taken back
         entries, counted = session.entries, self._counted
+        # it may have been gone back, and on another way, since the last time
+        if position < counted or (counted and entries.origin(counted - 1) != self._last):
+            known, counted, self.act_count = (), 0, 0
+        # only what came since the last time is looked at, where nothing was taken back
         self.act_count += len(entries.places_of(_ACTS, counted, position))
         new = [entries[at].command for at in entries.places_of(Cut, counted, position)]
         self._counted = position
+        self._last = entries.origin(position - 1) if position else None
         found = known + tuple(one for one in new if isinstance(one, Cut))
         if found != self.cuts:
             self.cuts = found

@@ -80,6 +80,20 @@ def test_what_was_taken_back_is_a_branch_when_time_goes_on_and_is_known_again_wh
     played_again(tmp_path / "a.recording", case)
 
 
+def test_acts_are_counted_anew_where_others_came_in_their_place_within_one_frame(case):
+    live = live_on(case)
+    live.do(CloseGrab(name="first", center_mm=TOP, radius_mm=4.0))
+    live.tick()
+    live.tick()
+    assert (live.newest.act_count, live.session.position) == (1, 3)
+    live.do(Undo())
+    live.do(CloseGrab(name="second", center_mm=TOP, radius_mm=4.0))
+    live.do(CloseGrab(name="third", center_mm=(13.0, -14.0, 40.5), radius_mm=4.0))
+    live.tick()
+    assert (live.newest.act_count, live.session.position) == (2, 3)
+    live.close()
+
+
 def test_a_hand_comes_to_where_it_was_led_by_ticks_and_the_recording_repeats(case, tmp_path):
     live = live_on(case)
     live.record(tmp_path / "a.recording")
