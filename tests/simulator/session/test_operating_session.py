@@ -495,5 +495,38 @@ def test_of_many_ways_the_latest_are_kept(undone_most):
             assert len(session.branches) <= MOST_BRANCHES
 
 
+@pytest.mark.parametrize("is_nested", [False, True])
+def test_the_oldest_way_is_taken_up_where_there_are_as_many_as_are_kept(is_nested):
+    """What is known ahead is left by it, and there is room for one branch, as it is none itself any more."""
+    session = OperatingSession(block_simulation())
+
+    def bring(number):
+        session.do(BringProbe(name=str(number), center_mm=(0.0, 0.0, 90.0 + number), semi_axes_mm=(1.0, 1.0, 1.0)))
+        session.advance(1)
+
+    if is_nested:
+        # the oldest lies on the one after it
+        bring(200)
+        bring(201)
+        session.undo()
+        bring(202)
+        session.undo()
+        session.undo()
+    for number in range(MOST_BRANCHES - 2 * is_nested):
+        bring(number)
+        session.undo()
+    bring(100)
+    branches = session.branches
+    assert len(branches) == MOST_BRANCHES
+    assert (branches[-1].on is not None) == is_nested
+    session.take_up(branches[-1].number)
+    session.go_to(session.end_step)
+    assert [one.name for one in session.simulation.instruments] == (["200", "201"] if is_nested else ["0"])
+    assert {one.number for one in branches[:-1]} - {one.number for one in session.branches} == (
+        {branches[-2].number} if is_nested else set()
+    )
+    assert len(session.branches) == MOST_BRANCHES
+
+
 def _last_probe(entries):
     return max((int(one.command.name) for one in entries if isinstance(one.command, BringProbe)), default=-1)
