@@ -213,16 +213,6 @@ def test_of_values_there_are_250(recipe):
         assert "every label value from 1 to 250 is taken" in problem["message"]
 
 
-def test_a_lock_goes_with_its_structure(recipe):
-    path, _ = recipe
-    with studio(path) as browser, page(browser) as talker:
-        talker.ask(do="lock", label="aorta", locked=True)
-        talker.ask(do="remove_label", label="aorta")
-        talker.ask(do="add_label", entry={"name": "aorta", "role": "vessel_lumen"})
-    with studio(path) as browser, page(browser) as talker:
-        assert last(talker, "structures")["locked"] == []
-
-
 @pytest.mark.parametrize("added", ["morphologically right ventricular myocardium", "myocardium"])
 def test_no_structure_is_added_by_which_a_name_means_another_one(recipe, added):
     """Of one myocardium alone "myocardium" is the name, too."""
@@ -261,6 +251,56 @@ def test_what_a_marker_file_holds_stays_in_the_table(recipe):
         assert talker.ask(do="remove_label", label="pulmonary artery")["kind"] == "done"
     with studio(path) as browser, page(browser) as talker:
         assert len(talker.opened["labels"]) == 9
+
+
+def test_locks_and_right_places_of_a_structure_that_was_removed_do_not_come_back_with_its_name(recipe):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="lock", label="aorta", locked=True)
+        talker.ask(do="confirm", position_mm=middle, label="aorta", rival="background")
+        talker.ask(do="remove_label", label="aorta")
+        talker.ask(do="undo")
+        assert last(talker, "structures")["locked"] == []
+    (kept,) = path.parent.rglob("*.right.json")
+    assert json.loads(kept.read_text()) == {"right": []}
+    with studio(path) as browser, page(browser) as talker:
+        assert last(talker, "structures")["locked"] == []
+
+
+def test_no_structure_is_added_beside_which_a_draft_or_a_stroke_would_be_read_in_another_way(recipe):
+    """The one muscle is called myocardium; beside a second one nobody knows which is meant."""
+    path, middle = recipe
+    usual, other = path.read_text(), {"name": "morphologically right ventricular myocardium", "role": "myocardium"}
+    _add_draft(path, "draft.seg.nrrd", value=1, segment="Myocardium")
+    with studio(path) as browser, page(browser) as talker:
+        assert "morphologically left ventricular myocardium" in last(talker, "structures")["marked"]
+        text = path.read_bytes()
+        (problem,) = talker.ask(do="add_label", entry=other)["problems"]
+        assert problem["place"] == "markers[1]"
+        assert path.read_bytes() == text
+    path.write_text(usual)
+    with studio(path) as browser, page(browser) as talker:
+        talker.ask(do="paint", label="myocardium", radius_mm=1.0, points_mm=[middle])
+        talker.ask(do="end")
+        (problem,) = talker.ask(do="add_label", entry=other)["problems"]
+        assert problem["place"] == "labels"
+        talker.ask(do="undo")
+        assert talker.ask(do="add_label", entry=other)["kind"] == "done"
+
+
+def _add_draft(path, name, *, value, segment=None):
+    """A draft beside the recipe with one voxel in its middle, named in the recipe."""
+    scan = SimpleITK.ReadImage(str(path.parent / "scan.nii.gz"))
+    labels = np.zeros(scan.GetSize()[::-1], np.uint8)
+    labels[3, 4, 5] = value
+    image = SimpleITK.GetImageFromArray(labels)
+    image.CopyInformation(scan)
+    if segment is not None:
+        said = {"Name": segment, "ID": "S1", "LabelValue": str(value), "Layer": "0"}
+        for key, one in said.items():
+            image.SetMetaData(f"Segment0_{key}", one)
+    SimpleITK.WriteImage(image, str(path.parent / name))
+    path.write_text(f'{path.read_text()}\n[[markers]]\npath = "{name}"\n')
 
 
 def test_edits_of_bare_structures_stand_before_those_that_are_laid_over_them(recipe):
