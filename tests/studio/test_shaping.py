@@ -116,6 +116,8 @@ def test_a_structure_is_added_painted_taken_back_and_removed(recipe):
             'snomed = "122972007"\n'
         )
         assert list(read(path).table)[:-1] == list(before)
+        (structure,) = [one for one in last(talker, "shape")["structures"] if one["name"] == "pulmonary vein"]
+        assert structure["term"] == "pulmonary vein"
         row = {"value": 10, "name": "pulmonary vein", "colour": "#ebf1c7", "role": "vessel_lumen"}
         assert last(talker, "label_table")["labels"][-1] == row
         # another page is told, too

@@ -75,10 +75,14 @@ class Shaping:
                     "role": label.role.value,
                     "colour": label.colour,
                     "is_grown": label.value not in table,
+                    "term": label.term.name if label.term else None,
                 }
                 for label in table.with_walls()
             ]
-            + [{"name": name, "role": "device", "colour": "#a0a0a0", "is_grown": False} for name in devices],
+            + [
+                {"name": name, "role": "device", "colour": "#a0a0a0", "is_grown": False, "term": None}
+                for name in devices
+            ],
             "is_locked": recipe.lock is not None,
         }
 

@@ -117,6 +117,13 @@ test("an opening that may be wall: painted there with the muscle of its ventricl
   assert.equal(wallLabel(labels.slice(0, 3), ["morphologically right ventricle", "pulmonary artery"]), 9);
   assert.equal(wallLabel(labels, ["left atrium"]), null);
   assert.equal(wallLabel(labels.slice(0, 3), ["cavity"]), 9);
+  // a recipe that calls them otherwise
+  const short = ["background", "LV", "LV myo", "RV myo"].map((name, at) => ({ ...labels[at], name }));
+  const structures = short.map(({ name }, at) => ({ name, term: at > 0 ? labels[at].name : null }));
+  structures.push({ name: "RV", term: "morphologically right ventricle" });
+  assert.equal(wallLabel(short, ["LV", "RV"], structures), 9);
+  assert.equal(wallLabel(short.slice(0, 3), ["LV", "RV"], structures), 9);
+  assert.equal(wallLabel(short, ["RV"], structures), 10);
   const shape = new Signal({ lines: { "walls.contact": [], "walls.septum": [] }, walls: [{ label: "RV", term: null, wall_thickness_mm: 0, has_table: false }] });
   const painted = [];
   const contacts = new Contacts({ shape }, () => Promise.resolve({ url: "" }), (between) => (mm) => painted.push([between, mm]));

@@ -51,7 +51,7 @@ export class BuildTab {
   constructor(studio, views, shaping, ask, onFault) {
     this.onFault = onFault;
     this.contacts = new Contacts(shaping, ask, (between) => {
-      const value = wallLabel(studio.labels.value, between);
+      const value = wallLabel(studio.labels.value, between, shaping.shape.value?.structures);
       return value === null ? null : (mm) => paintHere(studio, views, { value, mm, mostMm: WALL_MM });
     });
     this.results = new Results(studio, views, this.contacts);

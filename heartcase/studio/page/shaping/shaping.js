@@ -12,7 +12,7 @@ import { rounded } from "./discs.js";
 /** @typedef {{lines: Record<List, Record<string, Field[]>>, settings: Record<string, Field[]>, usual_wall_mm: Record<string, number>, new_labels: NewLabel[], roles: string[], materials: Record<string, {ratio: number, basis: string}>}} Facts */
 /** @typedef {{name: string, role: string, colour: string | null, wall_thickness_mm: number | null}} NewLabel null where it is the usual one */
 /** @typedef {{label: string, term: string | null, wall_thickness_mm: number, has_table: boolean}} Wall */
-/** @typedef {{name: string, role: string, colour: string, is_grown: boolean}} Structure */
+/** @typedef {{name: string, role: string, colour: string, is_grown: boolean, term: string | null}} Structure */
 /** @typedef {{name: string, lines: Record<List, Entry[]>, settings: Record<string, Entry>, walls: Wall[], materials: Record<string, Entry>,
  *   structures: Structure[], is_locked: boolean}} Shape */
 /** @typedef {{list: List, number: number}} Line the number counts from 1 */

@@ -27,11 +27,13 @@ export function paintHere(studio, views, { value, mm, mostMm }) {
  * What the wall between two structures is painted with: the muscle of their ventricle where it has a label, else what is not heart.
  * @param {readonly {value: number, name: string, role: string}[]} labels
  * @param {readonly string[]} between two names; one alone for the wall to the outside, which is muscle or none
+ * @param {readonly {name: string, term: string | null}[]} [structures] with the vocabulary's words for them: recipes may call them LV
  * @returns {number | null} null where the recipe has none
  */
-export function wallLabel(labels, between) {
-  const muscles = labels.filter(({ role }) => role === "myocardium");
-  const sides = between.map((name) => /(left|right) ventric/i.exec(name)?.[1]).filter((side) => side !== undefined);
+export function wallLabel(labels, between, structures = []) {
+  const words = (/** @type {string} */ name) => structures.find((one) => one.name === name)?.term ?? name;
+  const muscles = labels.filter(({ role }) => role === "myocardium").map(({ value, name }) => ({ value, name: words(name) }));
+  const sides = between.map((name) => /(left|right) ventric/i.exec(words(name))?.[1]).filter((side) => side !== undefined);
   // a septum counts as the left one's, as segmentations have it
   for (const side of sides.sort()) {
     const own = muscles.find(({ name }) => new RegExp(`${side} ventric`, "i").test(name));
