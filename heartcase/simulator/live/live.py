@@ -234,7 +234,7 @@ class Live:
 
     @property
     def is_kept(self) -> bool:
-        """Whether nothing would be lost: all acts are in a recording that is finished, or there are none."""
+        """Whether all acts of the history are in a finished recording, or there are none; branches do not count."""
         return self._kept.is_all_of(self.session)
 
     def take_by(self, taker: Taker | None) -> None:

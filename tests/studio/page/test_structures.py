@@ -85,8 +85,9 @@ def test_a_structure_is_added_painted_and_removed(chromium, painted):
         which.select_option("coronary sinus")
         assert tab.locator("#new-structure-wall").input_value() == "1.5"
         assert_accessible(page, "new structure")
-        tab.locator("#new-structure-form button").click()
+        tab.locator("#new-structure-form button").dblclick()
         row("coronary sinus").wait_for()
+        assert tab.locator("#notice").is_hidden()
         # it is in hand at once
         assert row("coronary sinus").locator(".pick").get_attribute("aria-pressed") == "true"
         assert parse_recipe(path.read_text(), needs_markers=False).table["coronary sinus"].wall_thickness_mm == 1.5
@@ -102,12 +103,16 @@ def test_a_structure_is_added_painted_and_removed(chromium, painted):
         assert tab.locator("#undo").get_attribute("title").endswith("a structure")
         tab.locator("#structure-remove").click()
         until(lambda: tab.locator("#structures .structure").count() == count)
+        # once is enough: the next one in hand stays
+        tab.locator("#structure-remove").wait_for(state="hidden")
         tab.locator("#undo").click()
         row("coronary sinus").wait_for()
         tab.locator("#undo").click()
         until(lambda: tab.locator("#structures .structure").count() == count)
         assert path.read_text() == text
         # one that nobody has named yet, by keys alone
+        tab.locator("#new-structure summary").focus()
+        tab.keyboard.press("Enter")
         tab.locator("#new-structure-which").focus()
         which.select_option("")
         tab.locator("#new-structure-name").fill("Rastelli conduit")

@@ -26,6 +26,7 @@ export function runNewStructure(studio, shaping) {
   const [which, role] = [select("new-structure-which"), select("new-structure-role")];
   const [name, colour, wall] = [input("new-structure-name"), input("new-structure-colour"), input("new-structure-wall")];
   const remove = /** @type {HTMLButtonElement} */ (find("structure-remove"));
+  let isAdding = false;
 
   /** Those of the vocabulary that the recipe lacks. @returns {readonly NewLabel[]} */
   const offered = () => {
@@ -80,13 +81,16 @@ export function runNewStructure(studio, shaping) {
   role.addEventListener("change", proposeWall);
   form.addEventListener("submit", (event) => {
     event.preventDefault();
+    // the second click of a double one
+    if (isAdding) return;
     const entry = { name: which.value || name.value.trim(), role: role.value, colour: colour.value };
     const isCavity = CAVITIES.has(role.value) && wall.valueAsNumber > 0;
     void add({ ...entry, wall_thickness_mm: isCavity ? wall.valueAsNumber : null });
   });
   remove.addEventListener("click", () => {
     const label = studio.pickedLabel;
-    if (label) void shaping.removeLabel(label.name);
+    // closed, so that a further click does not go on with the next one
+    if (label) void shaping.removeLabel(label.name).then((answer) => answer !== null && (part.open = false));
   });
 
   /** @param {NewLabel} entry */
@@ -94,7 +98,10 @@ export function runNewStructure(studio, shaping) {
     const known = offered().find((one) => one.name === entry.name);
     // the structure's own colour need not be stated
     const stated = known?.colour === entry.colour ? { ...entry, colour: null } : entry;
-    if (!(await shaping.addLabel(stated))) return;
+    isAdding = true;
+    const isAdded = await shaping.addLabel(stated);
+    isAdding = false;
+    if (!isAdded) return;
     part.open = false;
     const added = studio.labels.value.find((label) => label.name === entry.name);
     if (added) studio.pick(added.value);
