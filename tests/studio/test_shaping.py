@@ -199,6 +199,16 @@ def test_the_last_structure_stays(recipe):
         assert path.read_bytes() == text
 
 
+def test_a_structure_goes_whose_name_the_recipe_says_of_something_else(recipe):
+    path, _ = recipe
+    path.write_text(path.read_text().replace('name = "painted"', 'name = "aorta"'))
+    with studio(path) as browser, page(browser) as talker:
+        assert talker.ask(do="remove_label", label="aorta")["kind"] == "done"
+        talker.ask(do="add_label", entry={"name": "scan", "role": "device"})
+        assert talker.ask(do="remove_label", label="scan")["kind"] == "done"
+        assert "aorta" not in {one.name for one in read(path).table}
+
+
 def test_of_values_there_are_250(recipe):
     path, _ = recipe
     labels = (f'\n[[labels]]\nvalue = {n}\nname = "part {n}"\nrole = "device"\n' for n in range(1, 250))

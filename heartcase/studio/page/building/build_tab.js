@@ -1,7 +1,7 @@
 /** The tab that builds: stages, time left, what is reused; then what came of it. */
 
 import { paintHere, wallLabel } from "../painting/panel/paint_here.js";
-import { element } from "../shared/elements.js";
+import { element, problemList } from "../shared/elements.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { figure, isWord, language, say } from "../shared/words.js";
 import { Approval } from "./approval.js";
@@ -186,16 +186,4 @@ function stepRow({ stage, state, seconds }) {
   const result = state === "computed" ? `${figure(seconds, 1)} s` : say(`build_state_${/** @type {"waiting" | "running" | "reused"} */ (state)}`);
   row.append(sign, element("span", "name", title(stage)), element("span", "figure", result));
   return row;
-}
-
-/** @param {readonly Problem[]} problems */
-function problemList(problems) {
-  const list = element("ul", "problems");
-  for (const { place, message } of problems) {
-    const row = element("li");
-    if (place) row.append(element("span", "place", place), document.createTextNode(": "));
-    row.append(document.createTextNode(message));
-    list.append(row);
-  }
-  return list;
 }
