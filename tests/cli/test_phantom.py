@@ -16,6 +16,7 @@ from heartcase.phantom.anatomy import build, heart
 from heartcase.phantom.anatomy.heart import HeartPhantom
 from heartcase.phantom.drawing import recipe
 from heartcase.phantom.scan.acquisition import MRI_UNITS, noise_free
+from heartcase.pipeline.building.recipe_text import HEADING
 from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
@@ -101,6 +102,17 @@ def test_a_file_in_the_way_is_said(tmp_path, capsys):
     (tmp_path / "out").write_text("")
     assert main(["phantom", str(tmp_path / "out"), "--size", "child"]) == 2
     assert capsys.readouterr().err.strip()
+
+
+def test_a_recipe_that_was_painted_on_is_not_written_over(tmp_path, capsys):
+    painted = f"heartcase_recipe = 1\n{HEADING}[[strokes]]\n"
+    (tmp_path / "recipe.toml").write_text(painted)
+    assert main(["phantom", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "its recipe.toml holds strokes that were painted in a session: choose another folder" in said
+    assert said.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["recipe.toml"]
+    assert (tmp_path / "recipe.toml").read_text() == painted
 
 
 def test_the_note_of_a_normal_heart_does_not_stay_beside_one_with_a_defect(tmp_path, capsys):

@@ -48,6 +48,21 @@ def _is_number(text: str) -> bool:
     return True
 
 
+def _refuse_painted(recipe: Path) -> None:
+    """Refuse to write over a recipe that somebody painted on."""
+    from heartcase.pipeline.building.recipe_text import HEADING
+
+    try:
+        text = recipe.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return
+    if HEADING.strip() in text.splitlines():
+        raise UsageError(
+            "its recipe.toml holds strokes that were painted in a session: choose another folder, or move it away",
+            place=str(recipe.parent),
+        )
+
+
 @click.command(cls=_SpacingCommand, name="phantom")
 @click.argument("out_dir", type=OutputPath(is_folder=True))
 @click.option("--size", type=click.Choice(["adult", "child"]), default="adult", show_default=True, help="Which heart.")
@@ -106,6 +121,8 @@ def command(
     if dicom:
         # before anything is written over
         check_series_folder(out_dir / "dicom")
+    if not scan_only:
+        _refuse_painted(out_dir / "recipe.toml")
     voxel = _spacing(spacing, size)
     settings: dict[str, Any] = {"seed": seed}
     if noise is not None:
