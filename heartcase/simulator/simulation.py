@@ -16,7 +16,7 @@ from heartcase.simulator.cutting.cuts import Step
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
 from heartcase.simulator.dynamics.measures import inverted_cells
-from heartcase.simulator.dynamics.step_size import checked_step
+from heartcase.simulator.dynamics.step_size import StepSizes, checked_step
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
@@ -61,6 +61,10 @@ class Simulation(PatchedTissue, OperatedTissue):
         there is none, it fills its cells.
     step_s
         Time step, s; the case's default when left out.
+    pace
+        How many times as long as ``step_s`` the steps of elements may be, 1 or more: rows of steps are taken in fewer,
+        longer ones as long as nothing was cut, no probe pushes, and no explicit spring, stitch or patch pulls. When
+        left out, with the default step what the lattice's own limit allows, else 1; a GPU has none.
     damping_per_s
         Mass-proportional damping c in a = f/m - c v, 1/s; not negative, and below one over the step.
     gravity_m_s2
@@ -77,7 +81,7 @@ class Simulation(PatchedTissue, OperatedTissue):
     Raises
     ------
     SimulationError
-        The step is beyond the lattice's own limit, the damping or gravity out of range, a surface of another lattice,
+        A step is beyond the lattice's own limit, the damping or gravity out of range, a surface of another lattice,
         or there is no such backend.
     """
 
@@ -89,6 +93,7 @@ class Simulation(PatchedTissue, OperatedTissue):
         picking: PickingModel | None = None,
         tissue: TissueSamples | None = None,
         step_s: float | None = None,
+        pace: float | None = None,
         damping_per_s: float = 10.0,
         gravity_m_s2: Sequence[float] = (0.0, 0.0, 0.0),
         backend: Backend = "cpu",
@@ -101,6 +106,7 @@ class Simulation(PatchedTissue, OperatedTissue):
             picking=picking,
             tissue=tissue,
             step_s=step_s,
+            pace=pace,
             backend=backend,
             skips_unmoved=skips_unmoved,
         )
@@ -182,7 +188,7 @@ class Simulation(PatchedTissue, OperatedTissue):
             raise SimulationError("this is of another lattice: restore what this simulation gave", place="restore")
         if model is not self.model:
             if point.cuts is None:
-                checked_step(model, self.step_s)
+                checked_step(StepSizes(model), self.step_s)
             else:
                 self._check_explicit(model, point.cuts)
             self._set_model(model, point.cuts)
@@ -219,7 +225,7 @@ class Simulation(PatchedTissue, OperatedTissue):
         if is_drawn:
             self._string(step_count)
         rows = [probe.row(step_count) for probe in self.probes]
-        self._engine.advance(step_count, self.verlet, np.stack(rows) if rows else NO_PROBES)
+        self._engine.advance(step_count, self._paced, np.stack(rows) if rows else NO_PROBES)
         for probe, impulse in zip(self.probes, self._engine.probe_impulse if rows else (), strict=True):
             probe.wrench = -impulse / duration
         for grab, (end, velocity) in zip(self.grabs, led, strict=True):
@@ -399,11 +405,18 @@ class Simulation(PatchedTissue, OperatedTissue):
         led = np.zeros(self.model.node_count, dtype=bool)
         for grab in self.grabs:
             led[grab.nodes] = True
-        return watch(self.model, self.state, self.verlet.speed_limit, led)
+        return watch(self.model, self.state, self._paced.speed_limit, led)
 
     def inverted_cell_count(self) -> int:
         """Cells that are turned inside out now."""
         return int(inverted_cells(self.model, self.state.displacement).sum())
+
+    @property
+    def _paced(self) -> Verlet:
+        """The scheme for a row of steps now: at its pace where nothing but hands meets tissue that is whole."""
+        joins = bool(self.stitches or self.patches or self.model.explicit.count)
+        is_whole = self.cuts is None and not joins
+        return replace(self.verlet, pace=self.pace) if is_whole and not self.probes else self.verlet
 
     def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
         self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))
@@ -428,7 +441,7 @@ class Simulation(PatchedTissue, OperatedTissue):
     def _watch(self, before: State, is_fed: bool) -> None:
         trouble = find_trouble(self.state)
         if trouble is None and not is_fed:
-            trouble = find_runaway(self.model, self.verlet, before, self.state, self._strung())
+            trouble = find_runaway(self.model, self._paced, before, self.state, self._strung())
         if trouble is None:
             return
         ended_s = self.time_s

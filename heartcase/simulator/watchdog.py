@@ -67,7 +67,8 @@ def find_runaway(
     It is looked for only where a node moves at the speed limit, as it will before there is much of it. Gravity may have
     given what it gave.
     """
-    if _largest(after.velocity) < np.float32(verlet.speed_limit):
+    # What swings up turns around in every step: of longer ones, the end of a row takes off as much again.
+    if _largest(after.velocity) < np.float32(verlet.speed_limit / verlet.pace):
         return None
     mass = model.node_mass[:, None].astype(float)
 

@@ -61,11 +61,11 @@ def tissue(rng: np.random.Generator, law: ForceLaw) -> LatticeModel:
 def run(seed: int, law: ForceLaw, backend: str, settle_steps: int = 3000, step_factor: float = 1.0) -> Outcome:
     """Run one script; an error of the simulation is the caller's.
 
-    The default step or a multiple of it, and a damping of 30/s.
+    The default step, for elements at its pace, or a multiple of it; a damping of 30/s.
     """
     rng = np.random.default_rng(seed)
     model = tissue(rng, law)
-    step_s = step_factor * default_step(model)
+    step_s = None if step_factor == 1.0 else step_factor * default_step(model)
     simulation = Simulation(model, damping_per_s=30.0, backend=backend, step_s=step_s)  # type: ignore[arg-type]
     deeds = []
     inverted_most = 0

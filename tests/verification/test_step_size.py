@@ -11,7 +11,7 @@ from scipy.sparse.linalg import eigsh
 
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
-from heartcase.simulator.dynamics.step_size import checked_step, default_step, own_step_limit, step_limit
+from heartcase.simulator.dynamics.step_size import StepSizes, checked_step, default_step, own_step_limit, step_limit
 from heartcase.simulator.lattice.model import make_model
 from heartcase.simulator.simulation import Simulation
 from tests.examples import few_and_many, hold_for
@@ -73,7 +73,7 @@ def test_step_beyond_the_bound_is_refused_and_the_bound_is_stated(factor):
 def test_step_at_the_bound_is_taken():
     model = block(2, 2, 2)
     for limit in (step_limit(model), own_step_limit(model)):
-        assert checked_step(model, limit) == limit
+        assert checked_step(StepSizes(model), limit) == limit
 
 
 @few_and_many(40, 200)

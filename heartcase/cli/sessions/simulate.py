@@ -235,6 +235,7 @@ def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
     yield (
         f"Step       {summary.step_s * 1e3:.4f} ms (at rest stable up to {summary.step_limit_s * 1e3:.4f} ms), "
         f"{summary.step_count:,} steps"
+        + (f", taken in up to {summary.step_s * summary.pace * 1e3:.4f} ms at once" if summary.pace > 1.0 else "")
     )
     yield (
         f"Time       {summary.seconds:.2f} s simulated in {summary.wall_seconds:.2f} s: "

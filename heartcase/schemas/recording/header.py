@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 FORMAT_NAME: Final = "heartcase-recording"
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "1.1"
 HEADER_NAME = "recording.json"
 LOG_NAME = "log.jsonl"
 HEADER_SIZE_MAX = 1 << 20
@@ -91,6 +91,8 @@ class RecordingHeader(Model):
     """The force law: its settings by name."""
     step_s: _Positive
     """Time step, s."""
+    pace: Annotated[float, Field(ge=1.0)] = 1.0
+    """How many times as long steps were where they might be."""
     damping_per_s: _NotNegative
     """Damping, 1/s."""
     gravity_m_s2: Vector3
@@ -114,7 +116,8 @@ def header_bytes(header: RecordingHeader) -> bytes:
 
 def header_hash(header: RecordingHeader) -> str:
     """What the log's chain of hashes begins with: hash of all in the header but its end."""
-    said = header.model_dump(mode="json", exclude={"end"})
+    # Of version 1.0, which had no pace, the hash stays what it was.
+    said = header.model_dump(mode="json", exclude={"end"} if header.pace != 1.0 else {"end", "pace"})
     return sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 

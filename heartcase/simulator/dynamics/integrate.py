@@ -8,6 +8,10 @@ The equation of motion m a = f(u) - c m v + m g (thesis 8.1), with a and v as ce
 is of second order, and stable up to s = 2/omega with any damping. A node of no inverse mass keeps its velocity: at zero
 it is fixed, otherwise it is led by a hand.
 
+A row of steps may be taken in fewer, longer ones (:meth:`Verlet.row`). Its first step then goes from the velocity half
+a step of the old length before to that half a new one after, and at its end the velocity is brought to where it would
+be after old ones, by the force there: what follows from a state never depends on how the row before was taken.
+
 A free node moves at most half a cell along each axis in a step. That is about the speed of sound in the tissue, which
 nothing in surgery comes near; beyond it no step resolves what happens, and energy would come from nowhere.
 """
@@ -15,6 +19,7 @@ nothing in surgery comes near; beyond it no step resolves what happens, and ener
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -24,11 +29,38 @@ from heartcase.simulator.forces.reference import elastic_forces
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 
-__all__ = ["Energy", "Verlet", "energy", "runge_kutta_step", "staggered", "verlet_step"]
+__all__ = ["Energy", "Numbers", "Row", "Verlet", "energy", "runge_kutta_step", "staggered", "verlet_step"]
 
 
 WAY_LIMIT = 0.5
 """Most that a free node moves along an axis in one step [cells]."""
+
+
+PACED_STEPS_LEAST = 24
+"""Steps of a row from which on it is taken in longer ones: where short rows of several lengths take turns, so do the
+lengths of their steps, and each turn may swing up what is quickest."""
+Numbers = tuple[float, ...]
+"""Step, keep, kick, the three components of gravity and the speed limit, as the kernels want them."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """How a row of steps is taken."""
+
+    step_count: int
+    """Steps to take."""
+    first: Numbers
+    """Of the first of them."""
+    others: Numbers
+    """Of the others."""
+    last: Numbers | None
+    """Of what brings the velocity to half a step of the scheme behind, and moves nothing, where steps are longer."""
+    still: tuple[float, float]
+    """As of Verlet, for steps of this length."""
+
+    def numbers_of(self, step_number: int) -> Numbers:
+        """Numbers of a step, from 0 on."""
+        return self.others if step_number else self.first
 
 
 @dataclass(frozen=True)
@@ -46,33 +78,52 @@ class Verlet:
     """Speed below which a node is still, and change of its velocity in a step [cells / unit of time]. The CPU's engine
     leaves out tissue around which all is still; at zero none."""
 
+    pace: float = 1.0
+    """How many times as long the steps of a row may be, at most."""
+
+    def row(self, step_count: int) -> Row:
+        """How so many steps are taken: as they are, or as few longer ones of one length as the pace allows."""
+        count = ceil(step_count / self.pace) if step_count >= PACED_STEPS_LEAST else step_count
+        if count == step_count:
+            return Row(count, self.numbers, self.numbers, None, self.still)
+        length = self.step * step_count / count
+        first = self._numbers(0.5 * (self.step + length), length, length)
+        last = self._numbers(0.5 * (length - self.step), length, 0.0)
+        speed, change = self.still
+        return Row(count, first, self._numbers(length, length, length), last, (speed, change * length / self.step))
+
+    def _numbers(self, between: float, length: float, way: float) -> Numbers:
+        """Of a step from one velocity to that a time after, in a row of steps of a length, that moves on for a time."""
+        keep = (1.0 - self.damping * between / 2) / (1.0 + self.damping * between / 2)
+        kick = between / (1.0 + self.damping * between / 2)
+        return (way, keep, kick, *self.gravity, WAY_LIMIT / length if length else 0.0)
+
     @property
     def keep(self) -> float:
         """Fraction of the velocity that a step keeps."""
-        return (1.0 - self.damping * self.step / 2) / (1.0 + self.damping * self.step / 2)
+        return self.numbers[1]
 
     @property
     def kick(self) -> float:
         """Velocity per acceleration that a step adds."""
-        return self.step / (1.0 + self.damping * self.step / 2)
+        return self.numbers[2]
 
     @property
     def speed_limit(self) -> float:
-        """Largest component of a free node's velocity [cells / unit of time]."""
-        return WAY_LIMIT / self.step if self.step else 0.0
+        """Largest component of a free node's velocity [cells / unit of time], in steps as long as the pace allows."""
+        return self.numbers[6] / self.pace
 
     @property
-    def numbers(self) -> tuple[float, ...]:
-        """Step, keep, kick, the three components of gravity and the speed limit, as the kernels want them."""
-        return (self.step, self.keep, self.kick, *self.gravity, self.speed_limit)
+    def numbers(self) -> Numbers:
+        """Of a step among others of its length."""
+        return self._numbers(self.step, self.step, self.step)
 
 
-def next_velocity(verlet: Verlet, velocity: Float64, force: Float64, inverse_mass: Float64) -> Float64:
-    """Velocity half a step after the forces, from that half a step before; (node_count, 3) and (node_count,)."""
+def next_velocity(numbers: Numbers, velocity: Float64, force: Float64, inverse_mass: Float64) -> Float64:
+    """Velocity after the forces, from that before; (node_count, 3) and (node_count,)."""
+    _, keep, kick, *gravity, limit = numbers
     mass_inverse = inverse_mass[:, None]
-    acceleration = force * mass_inverse + np.array(verlet.gravity)
-    limit = verlet.speed_limit
-    free = np.clip(verlet.keep * velocity + verlet.kick * acceleration, -limit, limit)
+    free = np.clip(keep * velocity + kick * (force * mass_inverse + np.array(gravity)), -limit, limit)
     return np.where(mass_inverse > 0, free, velocity)
 
 
@@ -84,10 +135,12 @@ def verlet_step(
     inverse_mass: Float64,
     *,
     more: Float64 | None = None,
+    numbers: Numbers | None = None,
 ) -> tuple[Float64, Float64]:
     """One step of the reference; arrays of shape (node_count, 3) and (node_count,), all in grid units.
 
-    ``more``: forces besides those of the lattice, where there are any.
+    ``more``: forces besides those of the lattice, where there are any. ``numbers``: those of the step, where it is not
+    one among others of the scheme's length.
 
     Returns
     -------
@@ -95,8 +148,9 @@ def verlet_step(
         A step later, float64.
     """
     force = elastic_forces(model, displacement)
-    velocity = next_velocity(verlet, velocity, force if more is None else force + more, inverse_mass)
-    return displacement + verlet.step * velocity, velocity
+    numbers = numbers or verlet.numbers
+    velocity = next_velocity(numbers, velocity, force if more is None else force + more, inverse_mass)
+    return displacement + numbers[0] * velocity, velocity
 
 
 def runge_kutta_step(
@@ -178,7 +232,7 @@ def energy(
     is fixed or led, shape (node_count,); grid units.
     """
     before = state.velocity.astype(float)
-    after = next_velocity(verlet, before, force.astype(float), inverse_mass.astype(float))
+    after = next_velocity(verlet.numbers, before, force.astype(float), inverse_mass.astype(float))
     speed_squared = ((0.5 * (before + after)) ** 2).sum(axis=1)
     unit = model.units.energy_j
     return Energy(

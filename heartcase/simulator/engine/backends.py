@@ -8,7 +8,7 @@ import numpy as np
 
 from heartcase.schemas.arrays import Float32, Float64, Intp
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.dynamics.integrate import Verlet, verlet_step
+from heartcase.simulator.dynamics.integrate import Verlet, next_velocity, verlet_step
 from heartcase.simulator.engine.shared.contact import NO_PROBES, keep_outside
 from heartcase.simulator.forces.reference import elastic_forces
 from heartcase.simulator.lattice.model import LatticeModel
@@ -50,7 +50,10 @@ class Engine(Protocol):
         """Inverse masses [1 / full cell], shape (node_count,); nodes at zero keep their velocity."""
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
-        """Take steps; probes (:func:`heartcase.simulator.engine.shared.contact.probe_row`) move on in each."""
+        """Take steps; probes (:func:`heartcase.simulator.engine.shared.contact.probe_row`) move on in each.
+
+        In rows with probes, or threads that are drawn, the pace must be 1; a GPU takes all steps as they are.
+        """
 
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs, also the explicit ones, of another model of the same nodes and law."""
@@ -127,14 +130,19 @@ class ReferenceEngine:
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
         self.probe_impulse = np.zeros((len(probes), 6))
-        for step_number in range(step_count):
+        row = verlet.row(step_count)
+        for step_number in range(row.step_count):
             more = self.tethers.after(step_number).forces(self.displacement)
             start = (self.displacement, self.velocity, self.inverse_mass)
-            later, velocity = verlet_step(self.model, verlet, *start, more=more)
-            how = (self.model, probes, step_number, verlet.step, self.inverse_mass)
+            numbers = row.numbers_of(step_number)
+            later, velocity = verlet_step(self.model, verlet, *start, more=more, numbers=numbers)
+            how = (self.model, probes, step_number, numbers[0], self.inverse_mass)
             later, velocity, impulse = keep_outside(*how, self.displacement, later, velocity)
             self.probe_impulse += impulse
             self.displacement, self.velocity = later, velocity
+        if row.last is not None:
+            force = elastic_forces(self.model, self.displacement) + self.tethers.forces(self.displacement)
+            self.velocity = next_velocity(row.last, self.velocity, force, self.inverse_mass)
         self.step_count += step_count
 
     def set_springs(self, model: LatticeModel) -> None:

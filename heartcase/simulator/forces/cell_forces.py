@@ -61,8 +61,8 @@ __all__ = [
 
 WARP_FREE = 0.5
 """Q_0: what cells may warp freely; along one axis this bends them to a radius of one edge."""
-WARP_STIFFNESS = 2.0
-"""k_q [k/h]."""
+WARP_STIFFNESS = 0.75
+"""k_q [k/h]. With 2, warped elements would be so much quicker than others that steps had to be a third shorter."""
 SPREAD_MIN = 0.1**2 / 12.0
 """Least variance of the tissue along an axis that is reckoned with: that of a wall a tenth of a cell thick."""
 

@@ -270,6 +270,7 @@ def _header(
         cell_mm=start.model.cell_mm,
         law=asdict(start.model.law),
         step_s=simulation.step_s,
+        pace=simulation.pace,
         damping_per_s=simulation.damping_per_s,
         gravity_m_s2=simulation.gravity_m_s2,
         backend=simulation.backend,

@@ -84,6 +84,7 @@ def load_session(
         picking=picking,
         tissue=tissue,
         step_s=header.step_s,
+        pace=header.pace,
         damping_per_s=header.damping_per_s,
         gravity_m_s2=header.gravity_m_s2,
         backend=cast("Backend", chosen),

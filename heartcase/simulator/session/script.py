@@ -68,6 +68,8 @@ class SessionSummary:
     """Time step, s."""
     step_limit_s: float
     """Largest stable step at rest, s."""
+    pace: float
+    """How many times as long as ``step_s`` steps may be where nothing was cut."""
     step_count: int
     """Steps taken."""
     seconds: float
@@ -316,6 +318,7 @@ def run_script(
         triangle_count=0 if simulation.surface is None else len(simulation.surface.triangles),
         step_s=step_s,
         step_limit_s=simulation.step_limit_s,
+        pace=simulation.pace,
         step_count=step_total,
         seconds=step_total * step_s,
         wall_seconds=wall,

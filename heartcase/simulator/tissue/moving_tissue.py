@@ -14,7 +14,13 @@ from heartcase.simulator.cutting.cuts import Cuts, Step
 from heartcase.simulator.cutting.rest_space import blade_at_rest, refined
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.joining import join
-from heartcase.simulator.dynamics.step_size import checked_step, explicit_rate_limit, own_step_limit
+from heartcase.simulator.dynamics.step_size import (
+    StepSizes,
+    checked_pace,
+    checked_step,
+    explicit_rate_limit,
+    own_step_limit,
+)
 from heartcase.simulator.engine.backends import Backend, Engine, make_engine
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.loose_nodes import without_loose_nodes
@@ -47,6 +53,8 @@ class MovingTissue:
         Where in its cells the tissue lies that blades cut; inside ``surface`` when left out.
     step_s
         Time step, s; the case's default when left out.
+    pace
+        How many times as long steps may be, as of :class:`heartcase.simulator.simulation.Simulation`.
     backend
         What moves it.
     skips_unmoved
@@ -55,7 +63,7 @@ class MovingTissue:
     Raises
     ------
     SimulationError
-        The step is beyond the lattice's own limit, there is no such backend, or a surface is of another lattice.
+        A step is beyond the lattice's own limit, there is no such backend, or a surface is of another lattice.
     """
 
     def __init__(
@@ -66,6 +74,7 @@ class MovingTissue:
         picking: PickingModel | None,
         tissue: TissueSamples | None,
         step_s: float | None,
+        pace: float | None,
         backend: Backend,
         skips_unmoved: bool,
     ) -> None:
@@ -75,7 +84,11 @@ class MovingTissue:
         self.picking = self._whole_picking = picking
         self.split: SplitSurface | None = None
         self._tissue = tissue
-        self.step_s = checked_step(model, step_s)
+        sizes = StepSizes(model)
+        self.step_s = checked_step(sizes, step_s)
+        if pace is None:
+            pace = sizes.pace(self.step_s) if step_s is None and backend != "cuda" else 1.0
+        self.pace = checked_pace(sizes, self.step_s, pace)
         self.backend = backend
         self.cuts: Cuts | None = None
         self._cuttable: CuttableSurface | None = None

@@ -34,7 +34,7 @@ from heartcase.schemas.recording.commands import (
     Undo,
     parse_command,
 )
-from heartcase.schemas.recording.header import HEADER_NAME, LOG_NAME, header_hash
+from heartcase.schemas.recording.header import HEADER_NAME, LOG_NAME, header_bytes, header_hash
 from heartcase.schemas.recording.kept_entries import KeptEntries
 from heartcase.schemas.recording.log import opened, sealed
 from heartcase.schemas.recording.reader import check_recording, is_recording, open_recording
@@ -314,7 +314,7 @@ def test_of_another_case(recording):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("format_version", "1.1"), ("format_version", "2.0"), ("commands_version", COMMANDS_VERSION + 1)]
+    ("key", "value"), [("format_version", "1.2"), ("format_version", "2.0"), ("commands_version", COMMANDS_VERSION + 1)]
 )
 def test_of_a_newer_version(recording, key, value):
     file = recording / HEADER_NAME
@@ -333,6 +333,18 @@ def test_the_header_says_what_was_recorded(recording):
     assert header.node_count == block_model().node_count
     assert header.end is not None
     assert header.end.step == 300
+
+
+def test_the_header_says_how_long_steps_were(tmp_path, recording):
+    """And of one in which they were of one length, it has the hash that it had in format 1.0."""
+    recorded(tmp_path / "element.recording", law="element")
+    paced, plain = (open_recording(path).header for path in (tmp_path / "element.recording", recording))
+    assert paced.pace == block_simulation(law="element").pace > 1.1
+    assert plain.pace == 1.0
+    for header, later in ((paced, {"end"}), (plain, {"end", "pace"})):
+        said = {key: value for key, value in json.loads(header_bytes(header)).items() if key not in later}
+        text = json.dumps(said, sort_keys=True, separators=(",", ":"))
+        assert header_hash(header) == sha256(text.encode()).hexdigest()
 
 
 def test_what_is_no_recording_is_refused(tmp_path):

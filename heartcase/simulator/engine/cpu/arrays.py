@@ -132,8 +132,14 @@ class StepRow(NamedTuple):
     first_step: int
     """Steps that were taken before in this row: probes have moved so far, and looks and checks are counted from
     there."""
+    first_constants: Constants
+    """Of the first step: step, keep, kick, the three components of gravity and the speed limit, grid units."""
     constants: Constants
-    """Step, keep, kick, the three components of gravity and the speed limit, grid units."""
+    """Of the others."""
+    last_constants: Constants
+    """Of one more in which nothing moves on."""
+    has_last: bool
+    """Whether there is that one."""
     still: Float32
     """Speed below which a node is still, change of it in a step [cells / unit of time], and what rounding may add to
     that per cell of displacement, shape (3,); zeros where no tissue sleeps."""

@@ -25,6 +25,8 @@ from heartcase.simulator.lattice.moduli import LOOK_BELOW
 
 __all__ = [
     "CALM",
+    "FLAT",
+    "PRESSED",
     "clear_window",
     "element_of_window",
     "gradient_of_window",
@@ -40,6 +42,8 @@ CALM = 0.12
 """Difference of corners' displacements, along any axis, up to which no corner of a cell is below LOOK_BELOW [edges].
 
 With edges of a corner 1 + G, |G_ij| <= c, its volume is at least (1 - c)^3 - 3 (1 - c) c^2 - 2 c^3, here 0.64."""
+FLAT, PRESSED = np.int8(1), np.int8(2)
+"""What a window of cells has: a corner below LOOK_BELOW; one below the floor, which pushes back."""
 Offset = tuple[int, int, int]
 _CORNERS: list[Offset] = [(int(i), int(j), int(k)) for i, j, k in CORNER_OFFSETS]
 
@@ -78,7 +82,7 @@ def _make_cell_window(kind: str) -> Any:
     """The intrinsic that adds the forces of one window of cells: ``element``, ``volume`` or ``guard``.
 
     It takes displacement, numbers of the cells, forces on the nodes, law, rows, window and whether its parts are in
-    pairs, and says whether a corner is below LOOK_BELOW.
+    pairs, and says what there is of FLAT and PRESSED.
     """
 
     @intrinsic
@@ -102,13 +106,13 @@ def _make_cell_window(kind: str) -> Any:
                         forces = _math.corner_guard(corners, guard, _constant(here, constants, _FLOOR_NUMBER))
                     added.append((here, forces))
                     if kind != "guard":
-                        flag.raise_where_flat(corners, scale)
+                        flag.look(corners, scale, _constant(here, constants, _FLOOR_NUMBER))
                 _add_forces(f, added)
 
             _at_once_or_in_halves(context, builder, starts, window_of, arguments[6], emit)
             return nothing(context) if kind == "guard" else flag.read()
 
-        result = types.void if kind == "guard" else types.boolean
+        result = types.void if kind == "guard" else types.int8
         return result(displacement, numbers, cell_force, law, rows, types.int64, types.int8), codegen
 
     return window_forces
@@ -120,7 +124,7 @@ def sharing_element_of_window(
 ):
     """Add the forces of one window of elements that share strain; takes the stress of the means around the nodes.
 
-    Says whether a corner is below LOOK_BELOW.
+    Says what there is of FLAT and PRESSED.
     """
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -137,14 +141,14 @@ def sharing_element_of_window(
                 scale, own = _number(here, n, window_of, 0), weights[_OWN_NUMBER]
                 moments, law_of = _moments(here, n, window_of), _law(here, constants)
                 added.append((here, _math.element(corners, scale, own, moments, law_of, _columns(shared))))
-                flag.raise_where_flat(corners, scale)
+                flag.look(corners, scale, _constant(here, constants, _FLOOR_NUMBER))
             _add_forces(f, added)
 
         _at_once_or_in_halves(context, builder, starts, window_of, arguments[8], emit)
         return flag.read()
 
     arrays = (displacement, numbers, shares, stress, cell_force, law, rows)
-    return types.boolean(*arrays, types.int64, types.int8), codegen
+    return types.int8(*arrays, types.int64, types.int8), codegen
 
 
 @intrinsic
@@ -303,29 +307,36 @@ def _spread(corners: tuple[Vector, ...]) -> Lanes:
 
 
 class _Flag:
-    """Whether a corner of some cells has a volume below LOOK_BELOW, in the code being emitted."""
+    """What some cells have of FLAT and PRESSED, in the code being emitted."""
 
     def __init__(self, builder: Any) -> None:
         self.builder = builder
-        self._room = room_with(builder, ir.Constant(ir.IntType(1), 0))
+        self._room = room_with(builder, ir.Constant(ir.IntType(8), 0))
 
-    def raise_where_flat(self, corners: tuple[Vector, ...], scale: Lanes) -> None:
-        """Look at more cells."""
+    def look(self, corners: tuple[Vector, ...], scale: Lanes, floor: Lanes | None = None) -> None:
+        """Look at more cells; without a floor for FLAT alone."""
         builder = self.builder
         # Lanes without a cell have no stiffness, wherever the nodes around them are.
         spread = _spread(corners).where_positive(scale, Lanes.filled(builder, 0.0, scale.count))
         with builder.if_then((spread - CALM).is_any_positive()):
-            lack = _math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale
-            builder.store(builder.or_(self.read(), lack.is_any_positive()), self._room)
+            is_flat = (_math.corner_lack(corners, np.float32(LOOK_BELOW)) * scale).is_any_positive()
+            with builder.if_then(is_flat):
+                self._raise(FLAT)
+                if floor is not None:
+                    with builder.if_then((_math.corner_lack(corners, floor) * scale).is_any_positive()):
+                        self._raise(PRESSED)
+
+    def _raise(self, what: np.int8) -> None:
+        self.builder.store(self.builder.or_(self.read(), ir.Constant(ir.IntType(8), int(what))), self._room)
 
     def read(self) -> Any:
-        """Whether there was one: a bit of the program."""
+        """What there was so far: an int8 of the program."""
         return self.builder.load(self._room)
 
 
 @intrinsic
 def is_flat_window(typing_context, displacement, numbers, rows, window, in_pairs):
-    """Whether a corner of one of a window's cells has a volume below LOOK_BELOW."""
+    """FLAT where a corner of one of a window's cells has a volume below LOOK_BELOW, else zero."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         arrays = zip(signature.args[:3], arguments, strict=False)
@@ -334,9 +345,9 @@ def is_flat_window(typing_context, displacement, numbers, rows, window, in_pairs
 
         def emit(halves: list[CellWindow]) -> None:
             for here in halves:
-                flag.raise_where_flat(_corners_of(here, u), _number(here, n, arguments[3], 0))
+                flag.look(_corners_of(here, u), _number(here, n, arguments[3], 0))
 
         _at_once_or_in_halves(context, builder, starts, arguments[3], arguments[4], emit)
         return flag.read()
 
-    return types.boolean(displacement, numbers, rows, types.int64, types.int8), codegen
+    return types.int8(displacement, numbers, rows, types.int64, types.int8), codegen

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import get_num_threads
 
 from heartcase.schemas.arrays import Float32, Float64, Int32, Intp
-from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.dynamics.integrate import Row, Verlet
 from heartcase.simulator.engine.cpu.arrays import (
     CellArrays,
     CellWork,
@@ -202,21 +202,22 @@ class CpuEngine:
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
         """Take steps."""
-        taken = 0
+        row, taken = verlet.row(step_count), 0
 
         def with_threads(thread_count: int) -> Callable[[int], None]:
             def take(count: int) -> None:
                 nonlocal taken
-                self.advance_by(thread_count, count, verlet, probes, taken)
+                self._take(thread_count, count, row, probes, taken)
                 taken += count
 
             return take
 
         thread_count = min(get_num_threads(), len(self._chunks.before_counts))
         if self.layout.window_count < PARALLEL_WINDOWS_MIN or thread_count == 1:
-            with_threads(1)(step_count)
+            with_threads(1)(row.step_count)
         else:
-            self.autotuner.run(step_count, (with_threads(1), with_threads(thread_count)))
+            self.autotuner.run(row.step_count, (with_threads(1), with_threads(thread_count)))
+        self.step_count += step_count
 
     @property
     def threads_pay(self) -> bool:
@@ -226,7 +227,12 @@ class CpuEngine:
     def advance_by(
         self, thread_count: int, step_count: int, verlet: Verlet, probes: Float32, first_step: int = 0
     ) -> None:
-        """Take steps with so many threads; the bits are the same with any number."""
+        """Take steps as they are, with so many threads; the bits are the same with any number."""
+        self._take(thread_count, step_count, replace(verlet, pace=1.0).row(step_count), probes, first_step)
+        self.step_count += step_count
+
+    def _take(self, thread_count: int, step_count: int, row: Row, probes: Float32, first_step: int) -> None:
+        """Take so many steps of a row, from one of them on."""
 
         def part(thread: int, thread_count: int, barrier: Barrier) -> int:
             return int(advance(*arguments, ThreadPlace(thread, thread_count, barrier)))
@@ -236,8 +242,11 @@ class CpuEngine:
             self._knows_rest = True
         if first_step == 0:
             self._given = np.zeros((SHARES, len(probes), 6))
-        constants = tuple(np.float32(number) for number in verlet.numbers)
-        still = np.array([*verlet.still, ROUNDING * verlet.kick], np.float32)
+        of_first = row.first if first_step == 0 else row.others
+        of_all = (of_first, row.others, row.last or row.others)
+        first, others, last = (tuple(np.float32(number) for number in numbers) for numbers in of_all)
+        has_last = row.last is not None and first_step + step_count == row.step_count
+        still = np.array([*row.still, ROUNDING * row.others[2]], np.float32)
         arguments = (
             NodeArrays(
                 self._buffers,
@@ -251,14 +260,13 @@ class CpuEngine:
             ),
             CellWork(self._cell_arrays, self._kinds, self._sharing, self._ghosts),
             InstrumentArrays(self._explicit, probes, self._turn, self._given, self._tethers),
-            StepRow(self.current, step_count, first_step, constants, still),
+            StepRow(self.current, step_count, first_step, first, others, last, has_last, still),
             self._sleep,
             self._chunks,
         )
         self.current = self._team.run(thread_count, part)
         # Each share adds up step by step, wherever the row of steps is divided.
         self.probe_impulse = self._given.sum(axis=0)
-        self.step_count += step_count
 
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs of another model of the same nodes."""

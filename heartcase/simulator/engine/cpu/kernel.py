@@ -32,6 +32,8 @@ from heartcase.simulator.engine.cpu.arrays import (
 )
 from heartcase.simulator.engine.cpu.barrier import raise_to, wait_at
 from heartcase.simulator.engine.cpu.cells import (
+    FLAT,
+    PRESSED,
     clear_window,
     element_of_window,
     gradient_of_window,
@@ -173,17 +175,18 @@ def _add_cells(windows: Int64 | Int32, now: Float32, force: Float32, work: CellW
         if window >= ghosts.first_window:
             clear_ghost_forces(force, window, ghosts)
         if kind == SHARING_ELEMENTS and sharing.is_sharing[window]:
-            needs_guard = sharing_element_of_window(
+            seen = sharing_element_of_window(
                 now, numbers, sharing.shares, sharing.stress, force, law, rows, window, in_pairs
             )
         elif kind >= ELEMENTS:
-            needs_guard = element_of_window(now, numbers, force, law, rows, window, in_pairs)
+            seen = element_of_window(now, numbers, force, law, rows, window, in_pairs)
         elif kind == VOLUME_TERM:
-            needs_guard = volume_of_window(now, numbers, force, law, rows, window, in_pairs)
+            seen = volume_of_window(now, numbers, force, law, rows, window, in_pairs)
         else:
-            needs_guard = True
-        is_flat[window] = needs_guard
-        if needs_guard and has_guard:
+            # between two looks a corner may have come below the floor
+            seen = PRESSED | FLAT
+        is_flat[window] = seen & FLAT
+        if seen & PRESSED and has_guard:
             guard_of_window(now, numbers, force, law, rows, window, in_pairs)
         if window >= ghosts.first_window:
             add_ghost_forces(force, window, ghosts)
@@ -442,7 +445,7 @@ def advance(
     displacement, velocity, weight, window_numbers, tension, inverse_mass, rows, rest = nodes
     cells, (kind, _, has_guard), _, ghosts = work
     explicit, probes, turn, _, tethers = instruments
-    current, step_count, first_step, constants, still = steps
+    current, step_count, first_step, first_constants, other_constants, last_constants, has_last, still = steps
     thread, thread_count, barrier = place
     chunk_count = len(chunks.before_counts)
     works_cells = kind != NO_CELLS or _has_flat(cells)
@@ -450,7 +453,10 @@ def advance(
     if not wait_at(barrier, thread_count):
         return current
     before = flush_subnormals()
-    for step_number in range(step_count):
+    for step_number in range(step_count + has_last):
+        constants = other_constants if step_number else first_constants
+        if step_number == step_count:
+            constants = last_constants
         now = displacement[3 * BANK_LANES * current :]
         later = displacement[3 * BANK_LANES * (1 - current) :]
         row_step = first_step + step_number
@@ -458,7 +464,7 @@ def advance(
             if thread == 0 and rouse(sleep, row_step == 0):
                 share_out(chunks, sleep)
             wait_at(barrier, thread_count)
-        is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0
+        is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0 and step_number < step_count
         if is_checked:
             for share in range(thread, SHARES, thread_count):
                 first, end = _part(share, sleep.counts[0])
