@@ -16,7 +16,7 @@ from heartcase.simulator.cutting.cuts import Step
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.integrate import Energy, Verlet, energy
 from heartcase.simulator.dynamics.measures import inverted_cells
-from heartcase.simulator.dynamics.step_size import StepSizes, checked_step
+from heartcase.simulator.dynamics.step_size import StepSizes, checked_step, pace_at
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.engine.shared.contact import NO_PROBES, probe_row
 from heartcase.simulator.instruments.grab import Grab, close_grab, pose_of, require_grab
@@ -63,8 +63,9 @@ class Simulation(PatchedTissue, OperatedTissue):
         Time step, s; the case's default when left out.
     pace
         How many times as long as ``step_s`` the steps of elements may be, 1 or more: rows of steps are taken in fewer,
-        longer ones as long as nothing was cut, no probe pushes, and no explicit spring, stitch or patch pulls. When
-        left out, with the default step what the lattice's own limit allows, else 1; a GPU has none.
+        longer ones as long as no probe pushes, and no explicit spring, stitch or patch pulls, and where cuts left
+        pieces that are quicker than the rest, less long ones. When left out, with the default step what the lattice's
+        own limit allows, else 1; a GPU has none.
     damping_per_s
         Mass-proportional damping c in a = f/m - c v, 1/s; not negative, and below one over the step.
     gravity_m_s2
@@ -413,10 +414,11 @@ class Simulation(PatchedTissue, OperatedTissue):
 
     @property
     def _paced(self) -> Verlet:
-        """The scheme for a row of steps now: at its pace where nothing but hands meets tissue that is whole."""
-        joins = bool(self.stitches or self.patches or self.model.explicit.count)
-        is_whole = self.cuts is None and not joins
-        return replace(self.verlet, pace=self.pace) if is_whole and not self.probes else self.verlet
+        """The scheme for a row of steps now, at the pace that all which is in the tissue allows."""
+        if self.pace == 1.0 or self.probes or self.stitches or self.patches or self.model.explicit.count:
+            return self.verlet
+        along = 0.0 if self.cuts is None else self.cuts.rate_along
+        return replace(self.verlet, pace=min(self.pace, pace_at(along, self.verlet.step)))
 
     def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
         self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))

@@ -20,9 +20,9 @@ LEFT_MOST = 8
 """Cells that a script leaves inside out for good at most, of up to 225."""
 
 
-def survive(law, backend, seeds, left_scripts):
+def survive(law, backend, seeds, left_scripts, **how):
     """Run scripts: nothing breaks down, and all but a few leave no cell inside out; the sum of what they turned."""
-    outcomes = {seed: run(seed, law, backend) for seed in seeds}
+    outcomes = {seed: run(seed, law, backend, **how) for seed in seeds}
     assert all(np.isfinite(outcome.way_most) for outcome in outcomes.values())
     left = {seed: outcome for seed, outcome in outcomes.items() if outcome.inverted_left}
     assert len(left) <= left_scripts, left
@@ -37,6 +37,12 @@ def survive(law, backend, seeds, left_scripts):
 def test_fifty_violent_scripts(law):
     inverted = survive(LAWS[law], "cpu", range(50 if law == "springs" else 10), 2)
     assert inverted > 50  # they were violent
+
+
+@pytest.mark.parametrize("law", ["element", "element-0.45"])
+def test_violent_scripts_in_which_blades_part_elements(law):
+    """Steps are as long as the pieces along the cuts allow."""
+    assert survive(LAWS[law], "cpu", range(12), 1, has_blades=True) > 30
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.lattices import block_cells, random_moments
+from tests.stress.cut_scripts import random_blade
 
 SETTLED_STEPS = 250
 """Steps between two counts of the cells that are inside out, once the hands have left."""
@@ -58,8 +59,18 @@ def tissue(rng: np.random.Generator, law: ForceLaw) -> LatticeModel:
     )
 
 
-def run(seed: int, law: ForceLaw, backend: str, settle_steps: int = 3000, step_factor: float = 1.0) -> Outcome:
+def run(
+    seed: int,
+    law: ForceLaw,
+    backend: str,
+    settle_steps: int = 3000,
+    step_factor: float = 1.0,
+    *,
+    has_blades: bool = False,
+) -> Outcome:
     """Run one script; an error of the simulation is the caller's.
+
+    Its cuts take springs away, or with ``has_blades`` part the tissue.
 
     The default step, for elements at its pace, or a multiple of it; a damping of 30/s.
     """
@@ -70,7 +81,7 @@ def run(seed: int, law: ForceLaw, backend: str, settle_steps: int = 3000, step_f
     deeds = []
     inverted_most = 0
     for _ in range(rng.integers(3, 7)):
-        deed = (_grab, _probe, _cut, _tie, _collapse, _kick)[rng.integers(6)]
+        deed = (_grab, _probe, _part if has_blades else _cut, _tie, _collapse, _kick)[rng.integers(6)]
         deeds.append(deed.__name__[1:])
         deed(simulation, rng)
         simulation.step(50)
@@ -134,6 +145,12 @@ def _cut(simulation: Simulation, rng: np.random.Generator) -> None:
         simulation.remove_springs(rng.random(model.spring_count) < rng.uniform(0.0, 0.5))
     else:
         simulation.remove_springs(model.node_index[model.spring_nodes, 0].min(axis=1) == rng.integers(0, 6))
+
+
+def _part(simulation: Simulation, rng: np.random.Generator) -> None:
+    at = simulation.model.rest_positions_mm()
+    for _ in range(rng.integers(1, 4)):
+        simulation.cut(random_blade(rng, at.min(axis=0), at.max(axis=0)), at_rest=True)
 
 
 def _tie(simulation: Simulation, rng: np.random.Generator) -> None:

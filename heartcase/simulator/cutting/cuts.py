@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from heartcase.schemas.arrays import Float64, Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.bit_masks.inheriting import held_nodes
 from heartcase.simulator.cutting.blade_sheet import Sheet
+from heartcase.simulator.cutting.cut_frequency import rate_along_cuts
 from heartcase.simulator.cutting.descent import Descent, descent_of, nodes_now
 from heartcase.simulator.cutting.further_parting import part_further
 from heartcase.simulator.cutting.parted_lattice import PartedLattice, part
@@ -72,6 +74,11 @@ class Cuts:
     """What blades swept, at rest."""
     parted: PartedLattice | None = None
     """What they leave; None where there are none."""
+
+    @cached_property
+    def rate_along(self) -> float:
+        """As of :func:`heartcase.simulator.cutting.cut_frequency.rate_along_cuts`; 0 with springs."""
+        return 0.0 if self.parted is None or not self.model.law.is_element else rate_along_cuts(self.parted)
 
     @property
     def model(self) -> LatticeModel:

@@ -57,7 +57,7 @@ def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL) -> 
     free = ~model.node_is_fixed
     inverse_root = np.where(free, 1.0 / np.sqrt(model.node_mass.astype(np.float64)), 0.0)
     unknown_count = 3 * int(free.sum())
-    if unknown_count == 0 or model.spring_count == 0:
+    if unknown_count == 0:
         return Spectrum(0.0, 0.0, 0.0, 0)
     step_most = ceil(0.5 * (1.0 + log(1.648 * sqrt(unknown_count) / MISSED) / sqrt(shortfall)))
     springs, cells = _springs_of_nodes(model), CellStiffness(model)

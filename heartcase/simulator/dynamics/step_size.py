@@ -12,8 +12,8 @@ tissue fills one end of its cell has more. There the lattice's own highest frequ
 (:class:`heartcase.simulator.lattice.moduli.ForceLaw` on deformed cells).
 
 A lattice's own limit follows from its own highest frequency (:mod:`heartcase.simulator.dynamics.spectrum`): 12 k/m in
-the bulk. Elements that were not cut may take steps up to 0.8 of it (:meth:`StepSizes.pace`); pieces of them, which
-hang on little, have omega^2 up to 1.5 times that of a lone cell.
+the bulk. Elements may take steps up to 0.8 of it (:meth:`StepSizes.pace`), and pieces that cuts left of them, if they
+are quicker, up to 0.8 of theirs (:mod:`heartcase.simulator.cutting.cut_frequency`).
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ __all__ = [
     "default_step",
     "explicit_rate_limit",
     "own_step_limit",
+    "pace_at",
     "step_limit",
 ]
 
@@ -92,13 +93,14 @@ class StepSizes:
         return own if thread_rate else max(own, self.limit_s)
 
     def pace(self, step_s: float) -> float:
-        """How many times as long as a step those of elements may be where nothing was cut, 1 or more; 1 with springs.
+        """How many times as long as a step those of elements may be, 1 or more; 1 with springs.
 
         Up to 0.8 of the lattice's own limit: of 1,000 violent scripts none breaks down then
         (``python -m tests.stress.many_violent_scripts cpu``).
         """
-        own = self.own_limit_s()
-        return max(1.0, STEP_SAFETY * own / step_s) if self.model.law.is_element and own < inf else 1.0
+        if not self.model.law.is_element or self.own_limit_s() == inf:
+            return 1.0
+        return pace_at((2.0 / self.own_limit_s()) ** 2, step_s)
 
 
 def step_limit(model: LatticeModel) -> float:
@@ -154,8 +156,16 @@ def checked_step(sizes: StepSizes, step_s: float | None) -> float:
     return step_s
 
 
+def pace_at(rate: float, step: float) -> float:
+    """How many times as long as a step those of tissue may be whose omega^2 at rest is no more than a rate, 1 or more.
+
+    In units that go together; infinite where the rate is zero.
+    """
+    return max(1.0, STEP_SAFETY * 2.0 / (sqrt(rate) * step)) if rate > 0.0 else inf
+
+
 def checked_pace(sizes: StepSizes, step_s: float, pace: float) -> float:
-    """How many times as long as a step those of elements that were not cut may be; 1 with springs.
+    """How many times as long as a step those of elements may be; 1 with springs.
 
     Raises
     ------

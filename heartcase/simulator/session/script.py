@@ -69,7 +69,7 @@ class SessionSummary:
     step_limit_s: float
     """Largest stable step at rest, s."""
     pace: float
-    """How many times as long as ``step_s`` steps may be where nothing was cut."""
+    """How many times as long as ``step_s`` steps may be."""
     step_count: int
     """Steps taken."""
     seconds: float

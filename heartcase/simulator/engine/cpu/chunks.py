@@ -74,9 +74,11 @@ class ChunkArrays(NamedTuple):
     strained_ends: Int64
     """How many of the gradients must be known for each of the means and those before it, shape (chunk_count,
     window_count)."""
+    ghost_window: Int64
+    """First window of cells that holds ghosts, shape (1,)."""
 
 
-def chunk_arrays(behind: Int32, touches: Int64, sleep: SleepArrays, layer_count: int) -> ChunkArrays:
+def chunk_arrays(behind: Int32, touches: Int64, sleep: SleepArrays, layer_count: int, ghost_window: int) -> ChunkArrays:
     """Share out the windows of a layout to as many chunks as there are threads, if its layers are enough."""
     chunk_count = max(1, min(get_num_threads(), layer_count // _LAYERS_MIN))
     window_count = len(behind)
@@ -99,6 +101,7 @@ def chunk_arrays(behind: Int32, touches: Int64, sleep: SleepArrays, layer_count:
         np.zeros((chunk_count, len(touches)), np.int32),
         np.zeros((chunk_count, len(touches)), np.int64),
         np.zeros((chunk_count, window_count), np.int64),
+        np.array([ghost_window]),
     )
     share_out(chunks, sleep)
     return chunks
@@ -215,8 +218,12 @@ def _list_means(chunk: int, chunks: ChunkArrays, sleep: SleepArrays) -> None:
     ends = chunks.strained_ends[chunk]
     ends[:mean_count] = 0
     count = 0
-    for number in range(sleep.counts[1]):
-        window = sleep.awake_cells[number]
+    awake_count, first_ghost = sleep.counts[1], sleep.counts[1]
+    while first_ghost > 0 and sleep.awake_cells[first_ghost - 1] >= chunks.ghost_window[0]:
+        first_ghost -= 1
+    # Those of ghosts first: they lie last, and with one of them all would have to be known before the rest is begun.
+    for turn in range(awake_count):
+        window = sleep.awake_cells[(first_ghost + turn) % awake_count]
         if touched_ends[window, 1] < lowest or touched_ends[window, 0] > highest:
             continue
         is_around = False

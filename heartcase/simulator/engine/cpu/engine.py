@@ -138,7 +138,7 @@ class CpuEngine:
         self._given: Float64 = np.zeros((SHARES, 0, 6))
         self._sleep = sleep_arrays(plan.blocks, len(self.cells.window_rows), room[6 * layout.stride :])
         layer_count = int(np.ptp(model.node_index[:, 2])) + 1
-        self._chunks = chunk_arrays(plan.behind, self.cells.touches, self._sleep, layer_count)
+        self._chunks = chunk_arrays(plan.behind, self.cells.touches, self._sleep, layer_count, self.cells.ghost_window)
         # Where no cell can act there is no room for what it does.
         may_act = model.law.acts_in_cells or model.law.has_corner_guard
         room_count = -(-(len(self._chunks.ends) - 1) // CHUNKS_PER_ROOM)
