@@ -169,7 +169,7 @@ def test_the_pace_is_that_of_the_lattices_own_limit_and_for_whole_elements_alone
     assert taken[0] == taken[2] < 55
     square = 40.0 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
     simulation.cut(centre + square[..., [2, 0, 1]])
-    assert simulation._paced.row(60).step_count == 60
+    assert 1.0 <= simulation._paced.pace <= simulation.pace
 
 
 @pytest.mark.parametrize("pace", [0.5, float("nan"), 3.0])

@@ -159,7 +159,7 @@ def test_kernels_charge_what_inclusion_and_exclusion_does(seed):
     """The formulas, not compiled, against volumes with every choice of nodes moved; some are led."""
     u, moved, free = corners(seed, 30)
     expected, harm = allowed_parts(u, moved, free, np.ones(len(u), bool), 0.0)
-    charges, limit, budget, harms = make_turn_math(lambda function: function)
+    charges, limit, budget, harms, _ = make_turn_math(lambda function: function)
     at = u + (np.arange(8)[:, None] >> np.arange(3) & 1)
     parts, harmed = np.ones_like(expected), False
     for cell in range(len(u)):

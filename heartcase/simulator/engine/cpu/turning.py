@@ -73,7 +73,7 @@ def turn_arrays(layout: LaneLayout, cell_window_count: int) -> TurnArrays:
 
 
 _pushed_out = make_contact(kernel(cached=False))
-_charges, _limit, _budget, _harms = make_turn_math(kernel(cached=False))
+_charges, _limit, _budget, _harms, _volume = make_turn_math(kernel(cached=False))
 
 
 @kernel(cached=False)
@@ -189,15 +189,19 @@ def _watch_cell(
         position[corner, 2] += np.float32(k)
     own = starts[0] + place
     is_watched = bool(near > 0)
+    is_flat = False
     for corner in range(8):
         turn.allowed[corner * BANK_LANES + own] = np.float32(1)
+        n0, n1, n2, n3 = _NODES[corner, 0], _NODES[corner, 1], _NODES[corner, 2], _NODES[corner, 3]
+        a, b, c = _edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3)
+        is_flat = is_flat or _volume(a, b, c) < volume_most
     for corner in range(8):
         n0, n1, n2, n3 = _NODES[corner, 0], _NODES[corner, 1], _NODES[corner, 2], _NODES[corner, 3]
         a, b, c = _edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3)
         m0, m1, m2, m3 = _row(moved, n0), _row(moved, n1), _row(moved, n2), _row(moved, n3)
         volume, c0, c1, c2, c3 = _charges(a, b, c, m0, m1, m2, m3)
         harms = _harms(volume, a, b, c, m0, m1, m2, m3)
-        if near == 0 and volume >= volume_most:
+        if near == 0 and volume >= volume_most and not (is_flat and harms):
             continue
         if harms:
             raise_to(turn.harm, 0, np.int8(1))

@@ -13,8 +13,9 @@ of a volume above zero is turned.
 
 That also holds back what would not turn a corner if all went together: the more, the flatter it is. So nothing is held
 back in a step in which all movements in full would do none of the corners harm that are looked after (:func:`_harms`);
-then, too, none is turned. Looked after are corners of cells near a probe, and elsewhere those below LOOK_BELOW; of
-springs alone only while there is a probe.
+then, too, none is turned. Looked after are corners of cells near a probe, and elsewhere those below LOOK_BELOW, and
+others of the same cell that would come to harm: in quick tissue they may be turned in one step. Of springs alone only
+while there is a probe.
 
 Nodes that are led move as they are led: what they take is counted first. Where they turn a corner by themselves, and
 where one is inside out already, nothing is held back.
@@ -57,6 +58,7 @@ class TurnMath(NamedTuple):
     limit: Any
     budget: Any
     harms: Any
+    volume: Any
 
 
 def make_turn_math(compiled: Callable[[Any], Any]) -> TurnMath:
@@ -78,6 +80,8 @@ def make_turn_math(compiled: Callable[[Any], Any]) -> TurnMath:
         ``(budget, charge, is_free)`` to the part of its movement that a node may take.
     harms
         ``(volume, a, b, c, m0, m1, m2, m3)``: whether all movements in full would do the corner harm.
+    volume
+        ``(a, b, c)``: the volume of a corner.
     """
     zero, one, half, third = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(1.0 / 3.0)
     part, floor, tiny = np.float32(SHARE), np.float32(FLOOR), np.float32(TINY)
@@ -158,7 +162,11 @@ def make_turn_math(compiled: Callable[[Any], Any]) -> TurnMath:
             return False
         return after < flat or (after < kept * volume and after < safe)
 
-    return TurnMath(charges, limit, budget, harms)
+    @compiled
+    def volume_of(a, b, c):
+        return dot(a, cross(b, c))
+
+    return TurnMath(charges, limit, budget, harms, volume_of)
 
 
 def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volume_most: float) -> tuple[Float64, bool]:
@@ -190,6 +198,7 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
     position = u + CORNER_OFFSETS
     harm = False
     part = np.ones(u.shape[:2])
+    is_flat = least_volumes(u) < volume_most
     for nodes in CORNER_NODES:
         at, way, free = position[:, nodes], moved[:, nodes], is_free[:, nodes].T
         volume = {which: _volume(at + way * np.array(which)[:, None]) for which in product((0, 1), repeat=4)}
@@ -204,7 +213,7 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
         counts = ((charge > TINY) & free).sum(axis=0)
         left = start - (charge * ~free).sum(axis=0)
         harmed = _harms(start, volume[1, 1, 1, 1])
-        is_due = is_near | (start < volume_most)
+        is_due = is_near | (start < volume_most) | (is_flat & harmed)
         harm |= bool((harmed & is_due).any())
         is_limited = is_due & (left > 0.0)
         each = SHARE * np.maximum(left - FLOOR, 0.0) / np.maximum(counts, 1)
