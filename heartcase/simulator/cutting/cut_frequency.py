@@ -8,15 +8,13 @@ whole). To work that out takes milliseconds, and seconds for the whole.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from heartcase.schemas.arrays import Bool
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
-from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.sub_lattice import sub_lattice
 
 __all__ = ["cells_around", "rate_along_cuts"]
 
@@ -47,29 +45,9 @@ def cells_around(model: LatticeModel, nodes: Bool, ring_count: int) -> LatticeMo
     ring_count
         Rings of cells.
     """
-    is_near, chosen = nodes, np.zeros(model.cell_count, np.bool_)
+    is_near, cells = nodes, np.zeros(0, np.int64)
     for _ in range(ring_count + 1):
-        chosen[:] = is_near[model.cell_corners].any(axis=1)
+        cells = np.flatnonzero(is_near[model.cell_corners].any(axis=1))
         is_near = np.zeros(model.node_count, np.bool_)
-        is_near[model.cell_corners[chosen]] = True
-    number = (np.cumsum(is_near) - 1).astype(np.int32)
-    return replace(
-        model,
-        cells=model.cells[chosen],
-        cell_corners=number[model.cell_corners[chosen]],
-        cell_coverage=model.cell_coverage[chosen],
-        cell_stiffness=model.cell_stiffness[chosen],
-        cell_density=model.cell_density[chosen],
-        cell_moments=model.cell_moments[chosen],
-        cell_shares=model.cell_shares[chosen],
-        cell_is_whole=model.cell_is_whole[chosen],
-        node_index=model.node_index[is_near],
-        node_mass=model.node_mass[is_near],
-        node_is_fixed=model.node_is_fixed[is_near],
-        # the springs of whole elements do not act
-        spring_nodes=np.zeros((0, 2), np.int32),
-        spring_direction=np.zeros(0, np.int8),
-        spring_weight=np.zeros(0, np.float32),
-        explicit=ExplicitSprings.none(),
-        loose_count=0,
-    )
+        is_near[model.cell_corners[cells]] = True
+    return sub_lattice(model, cells)[0]

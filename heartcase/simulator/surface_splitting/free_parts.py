@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from heartcase.schemas.arrays import Int32, Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.sub_lattice import sub_lattice
 from heartcase.simulator.surface.deform import PickingModel, make_picking
 from heartcase.simulator.surface_splitting.gluing import number_parts
 from heartcase.simulator.surface_splitting.split_surface import SplitSurface
@@ -67,27 +68,7 @@ def excise(model: LatticeModel, removed: npt.ArrayLike) -> Excision:
     if len(model.explicit.nodes):
         raise SimulationError("explicit springs hold this lattice: take them out before an excision", place="excision")
     cells = np.flatnonzero(kept)
-    nodes = np.unique(model.cell_corners[cells].astype(np.int64))
-    number = np.full(model.node_count, -1, np.int32)
-    number[nodes] = np.arange(len(nodes))
-    springs = np.flatnonzero(number[model.spring_nodes[:, 0]] >= 0)
-    left = replace(
-        model,
-        cells=model.cells[cells],
-        cell_corners=number[model.cell_corners[cells]],
-        cell_coverage=model.cell_coverage[cells],
-        cell_stiffness=model.cell_stiffness[cells],
-        cell_density=model.cell_density[cells],
-        cell_moments=model.cell_moments[cells],
-        cell_shares=model.cell_shares[cells],
-        cell_is_whole=model.cell_is_whole[cells],
-        node_index=model.node_index[nodes],
-        node_mass=model.node_mass[nodes],
-        node_is_fixed=model.node_is_fixed[nodes],
-        spring_nodes=number[model.spring_nodes[springs]],
-        spring_direction=model.spring_direction[springs],
-        spring_weight=model.spring_weight[springs],
-    )
+    left, nodes = sub_lattice(model, cells)
     return Excision(left, nodes, cells)
 
 

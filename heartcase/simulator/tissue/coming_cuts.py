@@ -85,10 +85,12 @@ def cut_tissue(
     if cuttable is not None and further.parted is not None:
         split = split_surface(cuttable, further.parted, further.sheets, split_before)
     picking = cut_picking(without_loose_nodes(left)) if has_picking else None
-    # It is kept with the cuts: whoever takes the first step after them would wait for it.
-    _ = further.rate_along
     # A device belongs to the thread that talks to it.
-    engine = None if backend == "cuda" else make_engine(left, backend, engine_before)
+    engine = None
+    if backend != "cuda":
+        engine = make_engine(left, backend, engine_before)
+        # It is kept with the cuts: whoever takes the first step after them would wait for it.
+        _ = further.rate_along
     return CutTissue(model, left, further, step, split, picking, engine)
 
 

@@ -1,0 +1,58 @@
+"""Some cells of a lattice as a lattice of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from heartcase.schemas.arrays import Int64
+from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
+from heartcase.simulator.lattice.model import LatticeModel
+
+__all__ = ["sub_lattice"]
+
+
+def sub_lattice(model: LatticeModel, cells: Int64) -> tuple[LatticeModel, Int64]:
+    """Some cells, their nodes with all the mass that they have, and the springs between these.
+
+    Explicit springs and loose nodes are left behind.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    cells
+        Numbers of the cells, ascending.
+
+    Returns
+    -------
+    model
+        The lattice of these cells.
+    nodes
+        Number that each of its nodes had, ascending.
+    """
+    nodes = np.unique(model.cell_corners[cells].astype(np.int64))
+    number = np.full(model.node_count, -1, np.int32)
+    number[nodes] = np.arange(len(nodes))
+    springs = np.flatnonzero((number[model.spring_nodes] >= 0).all(axis=1))
+    left = replace(
+        model,
+        cells=model.cells[cells],
+        cell_corners=number[model.cell_corners[cells]],
+        cell_coverage=model.cell_coverage[cells],
+        cell_stiffness=model.cell_stiffness[cells],
+        cell_density=model.cell_density[cells],
+        cell_moments=model.cell_moments[cells],
+        cell_shares=model.cell_shares[cells],
+        cell_is_whole=model.cell_is_whole[cells],
+        node_index=model.node_index[nodes],
+        node_mass=model.node_mass[nodes],
+        node_is_fixed=model.node_is_fixed[nodes],
+        spring_nodes=number[model.spring_nodes[springs]],
+        spring_direction=model.spring_direction[springs],
+        spring_weight=model.spring_weight[springs],
+        explicit=ExplicitSprings.none(),
+        loose_count=0,
+    )
+    return left, nodes
