@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from heartcase.schemas.arrays import Bool
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
 from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
-from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.lattice.sub_lattice import sub_lattice
+from heartcase.simulator.lattice.sub_lattice import cells_around, sub_lattice
 
-__all__ = ["cells_around", "rate_along_cuts"]
+__all__ = ["rate_along_cuts"]
 
 _RINGS = 1
 """Cells around those with copied nodes that are reckoned with."""
@@ -30,24 +28,5 @@ def rate_along_cuts(parted: PartedLattice) -> float:
     is_copied = copy_count[parted.node_origin] > 1
     if not is_copied.any():
         return 0.0
-    return largest_eigenvalue(cells_around(parted.model, is_copied, _RINGS), shortfall=_SHORTFALL).upper
-
-
-def cells_around(model: LatticeModel, nodes: Bool, ring_count: int) -> LatticeModel:
-    """Elements around some nodes, and so many rings of cells around those, as a lattice whose nodes keep their mass.
-
-    Parameters
-    ----------
-    model
-        A lattice of elements, of which no springs were removed.
-    nodes
-        True for each of the nodes, shape (node_count,).
-    ring_count
-        Rings of cells.
-    """
-    is_near, cells = nodes, np.zeros(0, np.int64)
-    for _ in range(ring_count + 1):
-        cells = np.flatnonzero(is_near[model.cell_corners].any(axis=1))
-        is_near = np.zeros(model.node_count, np.bool_)
-        is_near[model.cell_corners[cells]] = True
-    return sub_lattice(model, cells)[0]
+    around, _ = sub_lattice(parted.model, cells_around(parted.model, is_copied, _RINGS))
+    return largest_eigenvalue(around, shortfall=_SHORTFALL).upper

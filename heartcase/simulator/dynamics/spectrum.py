@@ -13,6 +13,7 @@ from math import ceil, log, sqrt
 
 import numpy as np
 from numba import prange
+from scipy.sparse import csr_array
 
 from heartcase.compiling.kernel import loop_kernel
 from heartcase.schemas.arrays import Float64, Int8, Int32, Int64
@@ -44,8 +45,8 @@ class Spectrum:
     """Steps of Lanczos that were taken."""
 
 
-def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL) -> Spectrum:
-    """Bounds on the largest eigenvalue of a lattice at rest, without its fixed nodes.
+def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL, ties: csr_array | None = None) -> Spectrum:
+    """Bounds on the largest eigenvalue of a lattice at rest, without its fixed nodes and explicit springs.
 
     Parameters
     ----------
@@ -53,6 +54,9 @@ def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL) -> 
         The lattice, without the springs that were cut.
     shortfall
         Most that ``lower`` falls short of ``upper``, as a part of it; above 0 and below 1.
+    ties
+        What ties nodes together besides: a row for each, with the root of its stiffness [k] times the share that each
+        node has in it, shape (any, node_count). It resists movements of its ends alike in all directions.
     """
     free = ~model.node_is_fixed
     inverse_root = np.where(free, 1.0 / np.sqrt(model.node_mass.astype(np.float64)), 0.0)
@@ -71,6 +75,8 @@ def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL) -> 
         moved = inverse_root[:, None] * vector
         _stiffness_times(*springs, inverse_root, moved, product)
         cells.add_times(moved, inverse_root, product)
+        if ties is not None:
+            product += inverse_root[:, None] * (ties.T @ (ties @ moved))
         diagonal.append(float((vector * product).sum()))
         product -= diagonal[-1] * vector
         if beside:

@@ -50,16 +50,16 @@ class Engine(Protocol):
         """Inverse masses [1 / full cell], shape (node_count,); nodes at zero keep their velocity."""
 
     def advance(self, step_count: int, verlet: Verlet, probes: Float32 = NO_PROBES) -> None:
-        """Take steps; probes (:func:`heartcase.simulator.engine.shared.contact.probe_row`) move on in each.
+        """Take steps; probes (:func:`heartcase.simulator.engine.shared.contact.probe_row`) move on in each of the row.
 
-        In rows with probes, or threads that are drawn, the pace must be 1; a GPU takes all steps as they are.
+        A GPU takes all steps as they are, whatever the pace.
         """
 
     def set_springs(self, model: LatticeModel) -> None:
         """Go on with the springs, also the explicit ones, of another model of the same nodes and law."""
 
     def set_tethers(self, tethers: Tethers) -> None:
-        """Go on with other tethers; in the next row of steps they change at their pace, and stay as they came in."""
+        """Go on with other tethers; in the next row they change in each step, and stay as they came in."""
 
     def forces(self, nodes: Intp | None = None) -> Float32:
         """Spring forces now, shape (node_count, 3), or on some nodes, shape (len(nodes), 3)."""
@@ -141,7 +141,8 @@ class ReferenceEngine:
             self.probe_impulse += impulse
             self.displacement, self.velocity = later, velocity
         if row.last is not None:
-            force = elastic_forces(self.model, self.displacement) + self.tethers.forces(self.displacement)
+            pull = self.tethers.after(row.step_count).forces(self.displacement)
+            force = elastic_forces(self.model, self.displacement) + pull
             self.velocity = next_velocity(row.last, self.velocity, force, self.inverse_mass)
         self.step_count += step_count
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from heartcase.schemas.arrays import Int64
+from heartcase.schemas.arrays import Bool, Int64
 from heartcase.simulator.lattice.explicit_springs import ExplicitSprings
 from heartcase.simulator.lattice.model import LatticeModel
 
-__all__ = ["sub_lattice"]
+__all__ = ["cells_around", "sub_lattice"]
 
 
 def sub_lattice(model: LatticeModel, cells: Int64) -> tuple[LatticeModel, Int64]:
@@ -56,3 +56,23 @@ def sub_lattice(model: LatticeModel, cells: Int64) -> tuple[LatticeModel, Int64]
         loose_count=0,
     )
     return left, nodes
+
+
+def cells_around(model: LatticeModel, nodes: Bool, ring_count: int) -> Int64:
+    """Cells with a corner at some nodes, and so many rings of cells around those, ascending.
+
+    Parameters
+    ----------
+    model
+        The lattice.
+    nodes
+        True for each of the nodes, shape (node_count,).
+    ring_count
+        Rings of cells.
+    """
+    is_near, cells = nodes, np.zeros(0, np.int64)
+    for _ in range(ring_count + 1):
+        cells = np.flatnonzero(is_near[model.cell_corners].any(axis=1))
+        is_near = np.zeros(model.node_count, np.bool_)
+        is_near[model.cell_corners[cells]] = True
+    return cells

@@ -11,6 +11,7 @@ from heartcase.schemas.arrays import Float64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.cuts import Cuts
 from heartcase.simulator.dynamics.step_size import own_step_limit
+from heartcase.simulator.dynamics.tied_frequency import rate_where_tied
 from heartcase.simulator.instruments.placing import is_point, point_in_lattice
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.tethers import NO_LIMIT, Tethers
@@ -36,6 +37,8 @@ class SuturedTissue(MovingTissue):
 
     stitches: list[Stitch]
     """Threads that are in the tissue."""
+    _tied: tuple[LatticeModel | None, Tethers, float] = (None, Tethers.none(), 0.0)
+    """Lattice and threads of which the highest frequency is known, and its square."""
 
     @property
     def step_limit_s(self) -> float:
@@ -387,6 +390,19 @@ class SuturedTissue(MovingTissue):
         for stitch in self.stitches:
             stitch.length_target, stitch.tension_target = stitch.length, stitch.tension_most
         self._string()
+
+    @property
+    def _tied_rate(self) -> float:
+        """omega^2 where threads and explicit springs tie elements together; worked out once for the same of them."""
+        strung = self._strung()
+        known, (model, tethers, rate) = False, self._tied
+        if model is self.model and tethers.count == strung.count:
+            pairs = ((tethers.nodes, strung.nodes), (tethers.shares, strung.shares))
+            known = all(np.array_equal(*pair) for pair in (*pairs, (tethers.stiffness, strung.stiffness)))
+        if not known:
+            rate = rate_where_tied(self.model, strung)
+            self._tied = self.model, strung, rate
+        return rate
 
     def _thread_rate(self) -> float:
         return self._strung().rate_bound(self.model.inverse_mass)

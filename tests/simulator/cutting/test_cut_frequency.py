@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from heartcase.schemas.errors import SimulationError
-from heartcase.simulator.cutting.cut_frequency import cells_around, rate_along_cuts
+from heartcase.simulator.cutting.cut_frequency import rate_along_cuts
 from heartcase.simulator.cutting.tissue_samples import TissueSamples
 from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
 from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
+from heartcase.simulator.lattice.sub_lattice import cells_around, sub_lattice
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.snapshot import Snapshot
 from tests.simulator.lattices import block, random_moments
@@ -91,7 +92,7 @@ def test_cells_around_nodes_by_rings():
     model = block(9, 7, 7, law=ForceLaw("element"))
     middle = (model.node_index == (4, 3, 3)).all(axis=1)
     for rings, count in ((0, 8), (1, 64), (2, 6**3)):
-        part = cells_around(model, middle, rings)
+        part, _ = sub_lattice(model, cells_around(model, middle, rings))
         assert part.cell_count == count
         assert part.node_count == (2 * rings + 3) ** 3
         places = {tuple(place): mass for place, mass in zip(model.node_index.tolist(), model.node_mass, strict=True)}

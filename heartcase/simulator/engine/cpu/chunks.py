@@ -25,7 +25,7 @@ from heartcase.simulator.engine.shared.lane_kernels import list_windows, ranges_
 from heartcase.simulator.engine.shared.lanes import LaneLayout
 from heartcase.simulator.lattice.model import DIRECTIONS
 
-__all__ = ["KEPT_NODES_MAX", "ChunkArrays", "behind_windows", "chunk_arrays", "share_out"]
+__all__ = ["KEPT_NODES_MAX", "SHARES", "ChunkArrays", "behind_windows", "chunk_arrays", "part_of", "share_out"]
 
 
 KEPT_NODES_MAX = 120_000
@@ -33,6 +33,16 @@ KEPT_NODES_MAX = 120_000
 to 0.85 of the time at 60,000 and 100,000 nodes, and as long as both ends at 250,000."""
 _LAYERS_MIN = 2
 """Layers of windows in a chunk: with fewer, threads would work out more tensions for others than for themselves."""
+
+
+SHARES = 64
+"""Parts of the windows that threads take in turn, where nothing is worked out for others."""
+
+
+@kernel
+def part_of(share: int, count: int) -> tuple[int, int]:
+    """The first of so many windows in a share, and that behind its last."""
+    return share * count // SHARES, (share + 1) * count // SHARES
 
 
 class ChunkArrays(NamedTuple):

@@ -21,14 +21,13 @@ from heartcase.simulator.engine.cpu.arrays import (
 )
 from heartcase.simulator.engine.cpu.autotune import Autotuner
 from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
-from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, behind_windows, chunk_arrays, share_out
+from heartcase.simulator.engine.cpu.chunks import KEPT_NODES_MAX, SHARES, behind_windows, chunk_arrays, share_out
 from heartcase.simulator.engine.cpu.ghosts import GhostArrays, ghost_arrays
 from heartcase.simulator.engine.cpu.instruments import explicit_arrays
 from heartcase.simulator.engine.cpu.kernel import (
     CHUNKS_PER_ROOM,
     ELEMENTS,
     NO_CELLS,
-    SHARES,
     SHARING_ELEMENTS,
     VOLUME_TERM,
     advance,

@@ -44,7 +44,7 @@ from heartcase.simulator.engine.cpu.cells import (
     sharing_element_of_window,
     volume_of_window,
 )
-from heartcase.simulator.engine.cpu.chunks import ChunkArrays, share_out
+from heartcase.simulator.engine.cpu.chunks import SHARES, ChunkArrays, part_of, share_out
 from heartcase.simulator.engine.cpu.ghosts import (
     add_ghost_forces,
     clear_ghost_forces,
@@ -74,7 +74,7 @@ from heartcase.simulator.engine.cpu.steps import (
     step_of_windows_with_cells_from_both_ends,
 )
 from heartcase.simulator.engine.cpu.tethers import keep_both_ends_awake, pull_by_tethers, stretch_tethers
-from heartcase.simulator.engine.cpu.turning import push_out, shorten, watch_cells
+from heartcase.simulator.engine.cpu.turning import allow_cells, look_at_cells, push_out, shorten
 from heartcase.simulator.engine.cpu.vector_ir import flush_subnormals, restore_subnormals
 from heartcase.simulator.engine.shared.lanes import BANK_LANES, CELL_NUMBERS
 from heartcase.simulator.lattice.moduli import LOOK_STEPS
@@ -83,7 +83,6 @@ __all__ = [
     "CHUNKS_PER_ROOM",
     "ELEMENTS",
     "NO_CELLS",
-    "SHARES",
     "SHARING_ELEMENTS",
     "VOLUME_TERM",
     "advance",
@@ -92,8 +91,6 @@ __all__ = [
 
 StateArrays = tuple[Float32, Float32, Float32, Float32, Float32, Float32, Float32, Int64]
 
-SHARES = 64
-"""Parts of the windows that threads take one by one."""
 CELLS_AT_ONCE = 64
 """Windows of cells that share strain whose gradients, means and forces are worked out one after the other."""
 CHUNKS_PER_ROOM = CELL_NUMBERS // 3
@@ -103,15 +100,10 @@ NO_CELLS, VOLUME_TERM, ELEMENTS, SHARING_ELEMENTS = 0, 1, 2, 3
 
 
 @kernel
-def _part(share: int, count: int) -> tuple[int, int]:
-    return share * count // SHARES, (share + 1) * count // SHARES
-
-
-@kernel
 def _look_at_share(share: int, now: Float32, cells: CellArrays, sleep: SleepArrays) -> None:
     """Mark the windows of cells that have a corner to be looked after."""
     awake, counts = sleep.awake_cells, sleep.counts
-    first, end = _part(share, counts[1])
+    first, end = part_of(share, counts[1])
     for window in awake[first:end]:
         cells.is_flat[window] = is_flat_window(now, cells.numbers, cells.rows, window, cells.in_pairs[window])
 
@@ -340,10 +332,10 @@ def _check_share(
     is_near: Int8,
 ) -> None:
     """Look for what moves, or soon will, in a share of the windows of nodes; what a probe pushes does not rest."""
-    first, end = _part(share, sleep.counts[0])
+    first, end = part_of(share, sleep.counts[0])
     check(first, end, rows, displacement, velocity, inverse_mass, still, sleep)
     if len(probes):
-        first, end = _part(share, len(rows))
+        first, end = part_of(share, len(rows))
         feel_probes(first, end, rows, displacement, rest, probes, step_number, sleep)
         for window in range(first, end):
             if is_near[window] > 1:
@@ -361,6 +353,7 @@ def _keep_from_turning(
     step_number: int,
     step: np.float32,
     sleep: SleepArrays,
+    touched_ends: Int32,
     place: ThreadPlace,
 ) -> None:
     """Push nodes out of the probes after a step, and keep corners from turning."""
@@ -370,36 +363,50 @@ def _keep_from_turning(
     thread, thread_count, barrier = place
     looks_after_flat = kinds[2] and (kinds[0] != NO_CELLS or len(probes) > 0)
     if len(probes):
-        for share in range(thread, SHARES, thread_count):
-            first, end = _part(share, len(rows))
-            window_state = (first, end, now, later, velocity, inverse_mass, rest, rows, sleep.is_asleep)
-            push_out(*window_state, probes, step_number, step, turn, given[share])
+        push_out(
+            thread,
+            thread_count,
+            now,
+            later,
+            velocity,
+            inverse_mass,
+            rest,
+            rows,
+            sleep.is_asleep,
+            probes,
+            step_number,
+            step,
+            turn,
+            given,
+        )
         wait_at(barrier, thread_count)
     if len(ghosts.lane):
         follow_nodes(thread, thread_count, now, ghosts)
         follow_movements(thread, thread_count, later, turn.near, ghosts)
         wait_at(barrier, thread_count)
-    for share in range(thread, SHARES, thread_count):
-        first, end = _part(share, len(cells.rows))
-        watch_cells(
-            first,
-            end,
-            now,
-            later,
-            inverse_mass,
-            cells.rows,
-            cells.numbers,
-            cells.touches,
-            cells.is_flat,
-            looks_after_flat,
-            len(probes) > 0,
-            turn,
-        )
+    look_at_cells(
+        thread,
+        thread_count,
+        now,
+        later,
+        cells.rows,
+        cells.numbers,
+        cells.touches,
+        touched_ends,
+        cells.is_flat,
+        looks_after_flat,
+        len(probes) > 0,
+        step_number,
+        turn,
+    )
     wait_at(barrier, thread_count)
-    for share in range(thread, SHARES, thread_count):
-        first, end = _part(share, len(rows))
-        window_nodes = (first, end, now, later, velocity, inverse_mass, rest, rows)
-        shorten(*window_nodes, probes, step_number, turn, given[share], ghosts)
+    if not turn.harm[0]:
+        return
+    how = (inverse_mass, cells.rows, cells.numbers, looks_after_flat)
+    allow_cells(thread, thread_count, now, later, *how, turn)
+    wait_at(barrier, thread_count)
+    nodes_now = (now, later, velocity, inverse_mass, rest, rows)
+    shorten(thread, thread_count, *nodes_now, probes, step_number, turn, given, ghosts)
     wait_at(barrier, thread_count)
     if thread == 0:
         turn.harm[0] = 0
@@ -467,7 +474,7 @@ def advance(
         is_checked = still[0] > 0 and row_step % CHECK_STEPS == 0 and step_number < step_count
         if is_checked:
             for share in range(thread, SHARES, thread_count):
-                first, end = _part(share, sleep.counts[0])
+                first, end = part_of(share, sleep.counts[0])
                 remember(first, end, rows, velocity, sleep)
             wait_at(barrier, thread_count)
         is_looked_at = has_guard and kind == NO_CELLS and (row_step % LOOK_STEPS == 0 or len(probes) > 0)
@@ -495,8 +502,10 @@ def advance(
             else:
                 _step_chunk(chunk, state, constants, chunks, sleep)
         wait_at(barrier, thread_count)
-        if len(probes) > 0:
-            _keep_from_turning(now, later, nodes, work, instruments, row_step, constants[0], sleep, place)
+        if len(probes) > 0 and step_number < step_count:
+            _keep_from_turning(
+                now, later, nodes, work, instruments, row_step, constants[0], sleep, chunks.touched_ends, place
+            )
         current = 1 - current
         if is_checked:
             for share in range(thread, SHARES, thread_count):

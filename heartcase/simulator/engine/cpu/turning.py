@@ -1,22 +1,30 @@
 """Probes push nodes out, and movements are shortened that would turn a corner: the CPU kernel's last part of a step.
 
-Three rounds with a barrier after each. Nodes inside a probe are pushed out of it; cells near a probe, and those that
-have a corner below LOOK_BELOW, write what their corners allow; nodes take the least of the cells around them. See
+Rounds with a barrier after each. Nodes inside a probe are pushed out of it; cells near a probe, and those that have a
+corner below LOOK_BELOW, see whether one of their corners would come to harm. Where one would, which is seldom, they
+write what their corners allow, and nodes take the least of the cells around them. See
 :mod:`heartcase.simulator.engine.shared.contact` and :mod:`heartcase.simulator.engine.shared.turning`. What probes
 give is added up in as many sums as there are shares of windows, whatever the number of threads.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from math import sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 
+from heartcase.compiling.emitting import array_data
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float32, Float64, Int8, Int64
+from heartcase.schemas.arrays import Float32, Float64, Int8, Int32, Int64
+from heartcase.simulator.dynamics.integrate import WAY_LIMIT
 from heartcase.simulator.engine.cpu.barrier import raise_to
+from heartcase.simulator.engine.cpu.chunks import SHARES, part_of
 from heartcase.simulator.engine.cpu.ghosts import GhostArrays
 from heartcase.simulator.engine.cpu.room import untouched
+from heartcase.simulator.engine.cpu.vector_ir import Lanes, Window
 from heartcase.simulator.engine.shared.contact import make_contact
 from heartcase.simulator.engine.shared.lanes import (
     BANK_LANES,
@@ -29,7 +37,7 @@ from heartcase.simulator.engine.shared.lanes import (
 from heartcase.simulator.engine.shared.turning import CORNER_NODES, make_turn_math
 from heartcase.simulator.lattice.moduli import LOOK_BELOW
 
-__all__ = ["TurnArrays", "push_out", "shorten", "turn_arrays", "watch_cells"]
+__all__ = ["TurnArrays", "allow_cells", "look_at_cells", "push_out", "shorten", "turn_arrays"]
 
 Vector = tuple[np.float32, np.float32, np.float32]
 
@@ -37,6 +45,11 @@ _CELL_ROWS = np.array([4, 3, 1, 0])
 """Number in a window's rows of the cells that have a node for their corner (j, k) = (0, 0), (1, 0), (0, 1), (1, 1)."""
 _NODES = np.array(CORNER_NODES)
 _ROW_COUNT = len(CORNER_ROWS)
+NEAR_WINDOWS = 64
+"""Windows of nodes that follow each other, of which it is known together whether a probe is near."""
+FAR_STEPS = 64
+"""Most steps in which a window of nodes is not looked at: those that a free node, which is held to WAY_LIMIT along each
+axis, and a probe need at least to come near each other."""
 
 
 class TurnArrays(NamedTuple):
@@ -46,6 +59,10 @@ class TurnArrays(NamedTuple):
     """Number of the last probe near each lane's node, from one on, shape (lane_count,)."""
     is_near: Int8
     """One where a window of nodes has one near, two where it is pushed, shape (window_count,)."""
+    near_in: Int64
+    """Step of a row, from one on, in which one of each NEAR_WINDOWS windows had one near last, shape (any,)."""
+    far_until: Int64
+    """Step of a row up to which no probe can come near each window of nodes, shape (window_count,)."""
     is_watched: Int8
     """Whether each window of cells was looked after, shape (cell_window_count,)."""
     watched: Int8
@@ -64,6 +81,8 @@ def turn_arrays(layout: LaneLayout, cell_window_count: int) -> TurnArrays:
     return TurnArrays(
         untouched((lane_count,), np.int8),
         np.zeros(window_count, np.int8),
+        np.zeros(window_count // NEAR_WINDOWS + 1, np.int64),
+        np.zeros(window_count, np.int64),
         np.zeros(cell_window_count, np.int8),
         untouched((lane_count,), np.int8),
         np.zeros(window_count, np.int8),
@@ -105,10 +124,55 @@ def _give_at(
     _give(total, given[0], given[1], given[2], arm[0], arm[1], arm[2])
 
 
+@intrinsic
+def _least_squares(typing_context, now, later, rest, rows, window, before, after):
+    """Least squares of the distances of a window's nodes from a point before a step, and from another after it."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:4], arguments, strict=False)
+        u, u_later, at_rest, starts = (array_data(context, builder, *pair) for pair in arrays)
+        here = Window(builder, starts, arguments[4])
+        places, least = here.load_vector(at_rest), []
+        for displacement, point in ((u, arguments[5]), (u_later, arguments[6])):
+            moved = here.load_vector(displacement)
+            at = [Lanes.filled(builder, builder.extract_value(point, axis)) for axis in range(3)]
+            way = [places[axis] + moved[axis] - at[axis] for axis in range(3)]
+            square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2]
+            for apart in (4, 2, 1):
+                square = square.lesser(square.at([place ^ apart for place in range(LANE_COUNT)]))
+            least.append(square.lane(0))
+        return context.make_tuple(builder, signature.return_type, least)
+
+    point = types.UniTuple(types.float32, 3)
+    pair = types.UniTuple(types.float32, 2)
+    return pair(now, later, rest, rows, types.int64, point, point), codegen
+
+
+@kernel(cached=False)
+def _steps_out_of_reach(
+    window: int, now: Float32, later: Float32, rest: Float32, rows: Int64, probes: Float32, step_number: int
+) -> int:
+    """Steps from this one on in which no probe of a row can come near to a node of a window."""
+    count, steps = np.int64(FAR_STEPS), np.float32(step_number + 1)
+    for number in range(len(probes)):
+        probe = probes[number]
+        px, py, pz = probe[3], probe[4], probe[5]
+        x, y, z = probe[0] + steps * px, probe[1] + steps * py, probe[2] + steps * pz
+        least = _least_squares(now, later, rest, rows, window, (x - px, y - py, z - pz), (x, y, z))
+        # By more than what is rounded otherwise here.
+        reach = np.float32(1.01) * probe[16]
+        if not (least[0] > reach and least[1] > reach):
+            return 0
+        nearer = np.float32(2 * WAY_LIMIT) + np.float32(sqrt(px * px + py * py + pz * pz))
+        left = np.float32(sqrt(least[1])) - np.float32(sqrt(reach))
+        count = min(count, np.int64(1) + np.int64(min(left / nearer, np.float32(FAR_STEPS))))
+    return count
+
+
 @kernel
 def push_out(
-    first: int,
-    end: int,
+    thread: int,
+    thread_count: int,
     now: Float32,
     later: Float32,
     velocity: Float32,
@@ -122,64 +186,56 @@ def push_out(
     turn: TurnArrays,
     given: Float64,
 ) -> None:
-    """Push the nodes of some windows out of the probes; mark what is near. Impulses are added to ``given``."""
-    for window in range(first, end):
-        turn.is_near[window] = 0
-        start = rows[window, 4]
-        turn.near[start : start + LANE_COUNT] = 0
-        if is_asleep[window]:
-            continue
-        for lane in range(start, start + LANE_COUNT):
-            mass_inverse = inverse_mass[lane]
-            if mass_inverse <= 0:
+    """Push the nodes of a thread's windows out of the probes; mark what is near. Impulses are added to ``given``."""
+    for share in range(thread, SHARES, thread_count):
+        first, end = part_of(share, len(rows))
+        for window in range(first, end):
+            if step_number > 0 and step_number < turn.far_until[window]:
                 continue
-            own, place = _vector(now, lane), _vector(rest, lane)
-            for number in range(len(probes)):
-                u, contact = _pushed_out(place, own, _vector(later, lane), probes[number], step_number)
-                if contact == 0:
+            start = rows[window, 4]
+            turn.near[start : start + LANE_COUNT] = 0
+            turn.is_near[window] = 0
+            if is_asleep[window]:
+                turn.far_until[window] = 0
+                continue
+            far = _steps_out_of_reach(window, now, later, rest, rows, probes, step_number)
+            turn.far_until[window] = step_number + far
+            if far > 0:
+                continue
+            for lane in range(start, start + LANE_COUNT):
+                mass_inverse = inverse_mass[lane]
+                if mass_inverse <= 0:
                     continue
-                turn.near[lane] = number + 1
-                turn.is_near[window] = max(turn.is_near[window], np.int8(contact))
-                if contact == 1:
-                    continue
-                gained = np.empty(3, np.float64)
-                for axis in range(3):
-                    at = axis * BANK_LANES + lane
-                    later[at] = u[axis]
-                    new = np.float32((u[axis] - own[axis]) / step)
-                    gained[axis] = (np.float64(new) - np.float64(velocity[at])) / np.float64(mass_inverse)
-                    velocity[at] = new
-                what = (gained[0], gained[1], gained[2])
-                _give_at(given[number], rest, now, lane, probes[number], step_number, what)
+                own, place = _vector(now, lane), _vector(rest, lane)
+                for number in range(len(probes)):
+                    u, contact = _pushed_out(place, own, _vector(later, lane), probes[number], step_number)
+                    if contact == 0:
+                        continue
+                    turn.near[lane] = number + 1
+                    turn.near_in[window // NEAR_WINDOWS] = step_number + 1
+                    turn.is_near[window] = max(turn.is_near[window], np.int8(contact))
+                    if contact == 1:
+                        continue
+                    gained = np.empty(3, np.float64)
+                    for axis in range(3):
+                        at = axis * BANK_LANES + lane
+                        later[at] = u[axis]
+                        new = np.float32((u[axis] - own[axis]) / step)
+                        gained[axis] = (np.float64(new) - np.float64(velocity[at])) / np.float64(mass_inverse)
+                        velocity[at] = new
+                    what = (gained[0], gained[1], gained[2])
+                    _give_at(given[share, number], rest, now, lane, probes[number], step_number, what)
 
 
 @kernel
-def _watch_cell(
-    starts: Int64,
-    place: int,
-    now: Float32,
-    later: Float32,
-    inverse_mass: Float32,
-    volume_most: np.float32,
-    has_probes: bool,
-    turn: TurnArrays,
-    position: Float32,
-    moved: Float32,
-) -> bool:
-    """Write what one cell allows; whether it is to be looked after at all. Rows of a vector each are room.
+def _find_corners(starts: Int64, place: int, now: Float32, later: Float32, position: Float32, moved: Float32) -> None:
+    """Write where a cell's corners are, shape (8, 3), and how they move in the step.
 
     ``starts``: lane at the first i of the cell's part in the rows of its corners; ``place``: its lane from there.
     """
-    near = np.int8(0)
-    lanes = np.empty(8, np.int64)
-    free = np.empty(8, np.bool_)
     for corner in range(8):
         i, j, k = corner & 1, corner >> 1 & 1, corner >> 2
         lane = starts[2 * k + j] + place + i
-        lanes[corner] = lane
-        free[corner] = inverse_mass[lane] > 0
-        if has_probes:
-            near = max(near, turn.near[lane])
         for axis in range(3):
             before = now[axis * BANK_LANES + lane]
             position[corner, axis] = before
@@ -187,33 +243,84 @@ def _watch_cell(
         position[corner, 0] += np.float32(i)
         position[corner, 1] += np.float32(j)
         position[corner, 2] += np.float32(k)
+
+
+@kernel
+def _look_at_cell(
+    starts: Int64,
+    place: int,
+    now: Float32,
+    later: Float32,
+    volume_most: np.float32,
+    has_probes: bool,
+    turn: TurnArrays,
+    position: Float32,
+    moved: Float32,
+) -> bool:
+    """Write whether one cell is to be looked after, and whether one of its corners would come to harm then.
+
+    As of :func:`_find_corners`, of which the rows of a vector each are room.
+    """
+    near = np.int8(0)
+    if has_probes:
+        for corner in range(8):
+            i, j, k = corner & 1, corner >> 1 & 1, corner >> 2
+            near = max(near, turn.near[starts[2 * k + j] + place + i])
     own = starts[0] + place
-    is_watched = bool(near > 0)
+    _find_corners(starts, place, now, later, position, moved)
+    volumes = np.empty(8, np.float32)
     is_flat = False
     for corner in range(8):
-        turn.allowed[corner * BANK_LANES + own] = np.float32(1)
+        n0, n1, n2, n3 = _NODES[corner, 0], _NODES[corner, 1], _NODES[corner, 2], _NODES[corner, 3]
+        volumes[corner] = _volume(_edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3))
+        is_flat = is_flat or volumes[corner] < volume_most
+    if near == 0 and not is_flat:
+        turn.watched[own] = 0
+        return False
+    turn.watched[own] = np.int8(1) + near
+    for corner in range(8):
         n0, n1, n2, n3 = _NODES[corner, 0], _NODES[corner, 1], _NODES[corner, 2], _NODES[corner, 3]
         a, b, c = _edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3)
-        is_flat = is_flat or _volume(a, b, c) < volume_most
+        m0, m1, m2, m3 = _row(moved, n0), _row(moved, n1), _row(moved, n2), _row(moved, n3)
+        if _harms(volumes[corner], a, b, c, m0, m1, m2, m3):
+            raise_to(turn.harm, 0, np.int8(1))
+    return True
+
+
+@kernel
+def _allow(
+    starts: Int64,
+    place: int,
+    now: Float32,
+    later: Float32,
+    inverse_mass: Float32,
+    volume_most: np.float32,
+    turn: TurnArrays,
+    position: Float32,
+    moved: Float32,
+) -> None:
+    """Write what a cell that is looked after allows its corners' nodes; as of :func:`_look_at_cell`."""
+    own = starts[0] + place
+    is_near = turn.watched[own] > 1
+    free = np.empty(8, np.bool_)
+    for corner in range(8):
+        turn.allowed[corner * BANK_LANES + own] = np.float32(1)
+        free[corner] = inverse_mass[starts[corner >> 1] + place + (corner & 1)] > 0
+    _find_corners(starts, place, now, later, position, moved)
     for corner in range(8):
         n0, n1, n2, n3 = _NODES[corner, 0], _NODES[corner, 1], _NODES[corner, 2], _NODES[corner, 3]
         a, b, c = _edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3)
         m0, m1, m2, m3 = _row(moved, n0), _row(moved, n1), _row(moved, n2), _row(moved, n3)
         volume, c0, c1, c2, c3 = _charges(a, b, c, m0, m1, m2, m3)
-        harms = _harms(volume, a, b, c, m0, m1, m2, m3)
-        if near == 0 and volume >= volume_most and not (is_flat and harms):
+        # Without a probe near it is one with a corner below the most.
+        if not is_near and volume >= volume_most and not _harms(volume, a, b, c, m0, m1, m2, m3):
             continue
-        if harms:
-            raise_to(turn.harm, 0, np.int8(1))
-        is_watched = True
         each = _budget(volume, c0, c1, c2, c3, free[n0], free[n1], free[n2], free[n3])
         charges = (c0, c1, c2, c3)
         for number in range(4):
             node = _NODES[corner, number]
             at = node * BANK_LANES + own
             turn.allowed[at] = min(turn.allowed[at], _limit(each, charges[number], free[node]))
-    turn.watched[own] = np.int8(1) + near if is_watched else np.int8(0)
-    return is_watched
 
 
 @kernel(cached=False)
@@ -230,46 +337,87 @@ def _edge(position: Float32, low: int, high: int) -> Vector:
     )
 
 
+@kernel(cached=False)
+def _volume_most(looks_after_flat: bool) -> np.float32:
+    """Volume of a corner below which its cell is looked after."""
+    return np.float32(LOOK_BELOW) if looks_after_flat else np.float32(0)
+
+
 @kernel
-def watch_cells(
-    first: int,
-    end: int,
+def look_at_cells(
+    thread: int,
+    thread_count: int,
+    now: Float32,
+    later: Float32,
+    rows: Int64,
+    numbers: Float32,
+    touches: Int64,
+    touched_ends: Int32,
+    is_flat: Int8,
+    looks_after_flat: bool,
+    has_probes: bool,
+    step_number: int,
+    turn: TurnArrays,
+) -> None:
+    """Write which cells of a thread's windows are to be looked after, and whether a corner would come to harm."""
+    position, moved = np.empty((8, 3), np.float32), np.empty((8, 3), np.float32)
+    for share in range(thread, SHARES, thread_count):
+        first, end = part_of(share, len(rows))
+        for window in range(first, end):
+            is_due = looks_after_flat and is_flat[window] > 0
+            if has_probes and not is_due:
+                low, high = touched_ends[window]
+                may_be = False
+                for near in turn.near_in[low // NEAR_WINDOWS : high // NEAR_WINDOWS + 1]:
+                    may_be = may_be or near == step_number + 1
+                if may_be:
+                    for touched in touches[window]:
+                        if touched >= 0 and turn.is_near[touched]:
+                            is_due = True
+            if not is_due and not turn.is_watched[window]:
+                continue
+            is_watched = False
+            for number in range(CELL_LANES):
+                part, place = number // PART_LANES, number % PART_LANES
+                starts = rows[window, _ROW_COUNT * part : _ROW_COUNT * (part + 1)]
+                turn.watched[starts[0] + place] = 0
+                # Without stiffness there is no cell, or one that was cut.
+                if is_due and numbers[window, 0, number] > 0:
+                    most = _volume_most(looks_after_flat)
+                    does = _look_at_cell(starts, place, now, later, most, has_probes, turn, position, moved)
+                    is_watched = is_watched or does
+            turn.is_watched[window] = is_watched
+            if is_watched:
+                for touched in touches[window]:
+                    if touched >= 0:
+                        turn.is_beside[touched] = 1
+
+
+@kernel
+def allow_cells(
+    thread: int,
+    thread_count: int,
     now: Float32,
     later: Float32,
     inverse_mass: Float32,
     rows: Int64,
     numbers: Float32,
-    touches: Int64,
-    is_flat: Int8,
     looks_after_flat: bool,
-    has_probes: bool,
     turn: TurnArrays,
 ) -> None:
-    """Write what the cells of some windows allow their corners' nodes, where they are to be looked after."""
+    """Write what the cells of a thread's windows that are looked after allow their corners' nodes."""
     position, moved = np.empty((8, 3), np.float32), np.empty((8, 3), np.float32)
-    for window in range(first, end):
-        is_due = looks_after_flat and is_flat[window] > 0
-        if has_probes and not is_due:
-            for touched in touches[window]:
-                if touched >= 0 and turn.is_near[touched]:
-                    is_due = True
-        if not is_due and not turn.is_watched[window]:
-            continue
-        is_watched = False
-        for number in range(CELL_LANES):
-            part, place = number // PART_LANES, number % PART_LANES
-            starts = rows[window, _ROW_COUNT * part : _ROW_COUNT * (part + 1)]
-            turn.watched[starts[0] + place] = 0
-            # Without stiffness there is no cell, or one that was cut.
-            if is_due and numbers[window, 0, number] > 0:
-                most = np.float32(LOOK_BELOW) if looks_after_flat else np.float32(0)
-                does = _watch_cell(starts, place, now, later, inverse_mass, most, has_probes, turn, position, moved)
-                is_watched = is_watched or does
-        turn.is_watched[window] = is_watched
-        if is_watched:
-            for touched in touches[window]:
-                if touched >= 0:
-                    turn.is_beside[touched] = 1
+    for share in range(thread, SHARES, thread_count):
+        first, end = part_of(share, len(rows))
+        for window in range(first, end):
+            if not turn.is_watched[window]:
+                continue
+            for number in range(CELL_LANES):
+                part, place = number // PART_LANES, number % PART_LANES
+                starts = rows[window, _ROW_COUNT * part : _ROW_COUNT * (part + 1)]
+                if numbers[window, 0, number] > 0 and turn.watched[starts[0] + place] > 0:
+                    most = _volume_most(looks_after_flat)
+                    _allow(starts, place, now, later, inverse_mass, most, turn, position, moved)
 
 
 @kernel(cached=False)
@@ -283,8 +431,8 @@ def _least(turn: TurnArrays, cell: int, corner: int, part: np.float32, owner: np
 
 @kernel
 def shorten(
-    first: int,
-    end: int,
+    thread: int,
+    thread_count: int,
     now: Float32,
     later: Float32,
     velocity: Float32,
@@ -297,39 +445,39 @@ def shorten(
     given: Float64,
     ghosts: GhostArrays,
 ) -> None:
-    """Let the nodes of some windows go as far as the cells around them allow."""
-    for window in range(first, end):
-        if not turn.is_beside[window]:
-            continue
-        turn.is_beside[window] = 0
-        if not turn.harm[0]:
-            continue
-        ghosted = ghosts.node_first[window]
-        row = rows[window]
-        for place in range(LANE_COUNT):
-            lane = row[4] + place
-            mass_inverse = inverse_mass[lane]
-            if mass_inverse <= 0:
+    """Let the nodes of a thread's windows go as far as the cells around them allow."""
+    for share in range(thread, SHARES, thread_count):
+        first, end = part_of(share, len(rows))
+        for window in range(first, end):
+            if not turn.is_beside[window]:
                 continue
-            part, owner = np.float32(1), np.int64(0)
-            for corner in range(8):
-                cell = row[_CELL_ROWS[corner >> 1]] + place - (corner & 1)
-                part, owner = _least(turn, cell, corner, part, owner)
-            while ghosted < ghosts.node_first[window + 1] and ghosts.node_lane[ghosted] < lane:
-                ghosted += 1
-            if ghosted < ghosts.node_first[window + 1] and ghosts.node_lane[ghosted] == lane:
-                for at in range(ghosts.ghost_first[ghosted], ghosts.ghost_first[ghosted + 1]):
-                    ghost = ghosts.ghost_number[at]
-                    part, owner = _least(turn, ghosts.cell_lane[ghost], ghost % 8, part, owner)
-            if part >= 1:
-                continue
-            lost = np.empty(3, np.float64)
-            for axis in range(3):
-                at = axis * BANK_LANES + lane
-                before = velocity[at]
-                later[at] = now[at] + part * (later[at] - now[at])
-                velocity[at] = part * before
-                lost[axis] = (np.float64(velocity[at]) - np.float64(before)) / np.float64(mass_inverse)
-            if owner > 0:
-                what = (lost[0], lost[1], lost[2])
-                _give_at(given[owner - 1], rest, now, lane, probes[owner - 1], step_number, what)
+            turn.is_beside[window] = 0
+            ghosted = ghosts.node_first[window]
+            row = rows[window]
+            for place in range(LANE_COUNT):
+                lane = row[4] + place
+                mass_inverse = inverse_mass[lane]
+                if mass_inverse <= 0:
+                    continue
+                part, owner = np.float32(1), np.int64(0)
+                for corner in range(8):
+                    cell = row[_CELL_ROWS[corner >> 1]] + place - (corner & 1)
+                    part, owner = _least(turn, cell, corner, part, owner)
+                while ghosted < ghosts.node_first[window + 1] and ghosts.node_lane[ghosted] < lane:
+                    ghosted += 1
+                if ghosted < ghosts.node_first[window + 1] and ghosts.node_lane[ghosted] == lane:
+                    for at in range(ghosts.ghost_first[ghosted], ghosts.ghost_first[ghosted + 1]):
+                        ghost = ghosts.ghost_number[at]
+                        part, owner = _least(turn, ghosts.cell_lane[ghost], ghost % 8, part, owner)
+                if part >= 1:
+                    continue
+                lost = np.empty(3, np.float64)
+                for axis in range(3):
+                    at = axis * BANK_LANES + lane
+                    before = velocity[at]
+                    later[at] = now[at] + part * (later[at] - now[at])
+                    velocity[at] = part * before
+                    lost[axis] = (np.float64(velocity[at]) - np.float64(before)) / np.float64(mass_inverse)
+                if owner > 0:
+                    what = (lost[0], lost[1], lost[2])
+                    _give_at(given[share, owner - 1], rest, now, lane, probes[owner - 1], step_number, what)
