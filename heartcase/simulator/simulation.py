@@ -63,9 +63,9 @@ class Simulation(PatchedTissue, OperatedTissue):
         Time step, s; the case's default when left out.
     pace
         How many times as long as ``step_s`` the steps of elements may be, 1 or more: rows of steps are taken in fewer,
-        longer ones; less long where pieces along cuts, or what stitches, patches and explicit springs tie together, are
-        quicker than the rest, or a probe would move on by more than a cell in one. When left out, with the default step
-        what the lattice's own limit allows, else 1; a GPU has none.
+        longer ones as long as there is no probe; less long where pieces along cuts, or what stitches, patches and
+        explicit springs tie together, are quicker than the rest. When left out, with the default step what the
+        lattice's own limit allows, else 1; a GPU has none.
     damping_per_s
         Mass-proportional damping c in a = f/m - c v, 1/s; not negative, and below one over the step.
     gravity_m_s2
@@ -216,7 +216,7 @@ class Simulation(PatchedTissue, OperatedTissue):
         step_count = whole_number(step_count, "step_count", least=0, most=STEPS_MAX, error=SimulationError)
         if step_count == 0:
             return
-        before, verlet = self.state, self._paced_with_probes(step_count)
+        before, verlet = self.state, self._paced
         taken_count = verlet.row(step_count).step_count
         duration = step_count * self.verlet.step
         led = []
@@ -416,18 +416,10 @@ class Simulation(PatchedTissue, OperatedTissue):
     @property
     def _paced(self) -> Verlet:
         """The scheme for a row of steps now, at the pace that all which is in the tissue allows."""
-        if self.pace == 1.0:
+        if self.pace == 1.0 or self.probes:
             return self.verlet
         along = 0.0 if self.cuts is None else self.cuts.rate_along
         return replace(self.verlet, pace=min(self.pace, pace_at(max(along, self._tied_rate), self.verlet.step)))
-
-    def _paced_with_probes(self, step_count: int) -> Verlet:
-        """The same for so many steps: no probe moves on by more than a cell in one, if none does in a nominal one."""
-        paced = self._paced
-        ways = [float(np.linalg.norm(probe.target - probe.centre)) for probe in self.probes]
-        if not any(ways):
-            return paced
-        return replace(paced, pace=min(paced.pace, max(1.0, step_count / max(ways))))
 
     def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
         self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))

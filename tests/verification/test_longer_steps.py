@@ -109,7 +109,7 @@ def test_engines_take_the_same_longer_steps(law):
     assert np.abs(ends[0].velocity - ends[1].velocity).max() <= 142**2 * EPS * 0.05
 
 
-def test_engines_take_the_same_longer_steps_with_probes_and_drawn_threads():
+def test_engines_take_the_same_longer_steps_with_threads_that_are_drawn():
     model = block(7, 4, 3, fix_base=True, law=ELEMENT)
     at, h = model.rest_positions_mm(), model.cell_mm
     ends = []
@@ -117,22 +117,18 @@ def test_engines_take_the_same_longer_steps_with_probes_and_drawn_threads():
         simulation = Simulation(model, backend=backend, damping_per_s=30.0)
         assert simulation.pace > 1.2
         thread = simulation.stitch(at[[-1, -8]] + 0.3 * h * np.array([-1.0, 0.0, -1.0]))
-        probe = simulation.probe(at.max(axis=0) + np.array([-3.0, -2.0, 2.0]) * h, 1.2 * h)
-        simulation.draw(thread, tension_n=0.002)
-        simulation.move(probe, probe_at := at.max(axis=0) + np.array([-3.0, -2.0, 0.8]) * h)
+        simulation.draw(thread, tension_n=0.02)
         simulation.step(80)
-        first = simulation.force_on(probe)
+        assert simulation._paced.pace > 1.2
         simulation.draw(thread, length_mm=0.5 * h)
-        simulation.move(probe, probe_at + np.array([0.3, 0.2, -0.1]) * h)
         simulation.step(60)
-        ends.append((simulation.state, first, simulation.force_on(probe), simulation.stitch_state(thread).force_n))
-    (one, *forces), (other, *expected) = ends
+        ends.append((simulation.state, simulation.stitch_state(thread).force_n))
+    (one, force), (other, expected) = ends
     assert np.abs(one.displacement).max() > 0.1
     assert np.abs(one.displacement - other.displacement).max() <= 140**2 * EPS * 0.05
     assert np.abs(one.velocity - other.velocity).max() <= 140**2 * EPS * 0.05
-    for found, value in zip(forces, expected, strict=True):
-        assert np.linalg.norm(value) > 0.0
-        np.testing.assert_allclose(found, value, rtol=1e-3, atol=1e-3 * np.linalg.norm(value))
+    assert force == pytest.approx(expected, rel=1e-3)
+    assert force > 0.0
 
 
 def test_the_bytes_do_not_depend_on_how_a_row_is_shared_among_threads():
@@ -189,12 +185,10 @@ def test_the_pace_is_that_of_the_lattices_own_limit_and_for_whole_elements_alone
     simulation.step(60)
     probe = simulation.probe(at.max(axis=0) + 20.0, 3.0)
     simulation.step(60)
-    simulation.move(probe, at.max(axis=0) + 20.0 + np.array([0.0, 0.0, 58.0 * model.cell_mm]))
-    simulation.step(60)
     simulation.withdraw(probe)
-    assert taken[0] == taken[1] < 55
-    # No more than a cell a step.
-    assert taken[2] == 58
+    simulation.step(60)
+    assert taken[1] == 60
+    assert taken[0] == taken[2] < 55
     square = 40.0 * np.array([[[-1.0, -1, 0], [1, -1, 0]], [[-1, 1, 0], [1, 1, 0]]])
     simulation.cut(centre + square[..., [2, 0, 1]])
     assert 1.0 <= simulation._paced.pace <= simulation.pace

@@ -153,7 +153,7 @@ def _steps_out_of_reach(
     window: int, now: Float32, later: Float32, rest: Float32, rows: Int64, probes: Float32, step_number: int
 ) -> int:
     """Steps from this one on in which no probe of a row can come near to a node of a window."""
-    count, steps = np.int64(FAR_STEPS), np.float32(step_number + 1)
+    count, steps = FAR_STEPS, np.float32(step_number + 1)
     for number in range(len(probes)):
         probe = probes[number]
         px, py, pz = probe[3], probe[4], probe[5]
@@ -165,7 +165,7 @@ def _steps_out_of_reach(
             return 0
         nearer = np.float32(2 * WAY_LIMIT) + np.float32(sqrt(px * px + py * py + pz * pz))
         left = np.float32(sqrt(least[1])) - np.float32(sqrt(reach))
-        count = min(count, np.int64(1) + np.int64(min(left / nearer, np.float32(FAR_STEPS))))
+        count = min(count, 1 + int(min(left / nearer, np.float32(FAR_STEPS))))
     return count
 
 
