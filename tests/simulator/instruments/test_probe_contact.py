@@ -7,10 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from heartcase.simulator.dynamics.integrate import Verlet
+from heartcase.simulator.dynamics.step_size import default_step
+from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.shared import contact
+from heartcase.simulator.engine.shared.contact import probe_row
 from heartcase.simulator.engine.shared.turning import CORNER_NODES, SHARE, allowed_parts, make_turn_math
 from heartcase.simulator.lattice.model import make_model
 from heartcase.simulator.lattice.moduli import ForceLaw
+from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
 from tests.simulator.instruments.test_hands import zigzag
 from tests.simulator.lattices import block, oblique_geometry
@@ -173,3 +178,37 @@ def test_kernels_charge_what_inclusion_and_exclusion_does(seed):
                 parts[cell, node] = min(parts[cell, node], limit(each, own, bool(free[cell, node])))
     assert harm == harmed
     np.testing.assert_allclose(parts, expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("speed", [0.1, 0.9])
+def test_leaving_out_what_is_far_changes_no_bit(law, speed):
+    """Two probes from far away into quick tissue: against an engine in which all nodes are looked at in every step."""
+    model = block(40, 6, 5, law=LAWS[law])
+    rng = np.random.default_rng(3)
+    start = State(
+        rng.uniform(-0.05, 0.05, (model.node_count, 3)).astype(np.float32),
+        rng.uniform(-0.02, 0.02, (model.node_count, 3)).astype(np.float32),
+    )
+    verlet = Verlet(default_step(model) / model.units.time_s, 0.05)
+    count = 60
+    top = np.array([20.0, 3.0, 5.0])
+    centres = top + np.array([[0.0, 0.0, 0.4 * count * speed + 1.0], [-12.0 - 0.9 * count * speed, 0.3, 0.2]])
+    ways = speed * np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    probes = np.stack(
+        [probe_row(centre, way, (1.3, 1.3, 1.3), np.eye(3)) for centre, way in zip(centres, ways, strict=True)]
+    )
+    ends = []
+    for looks_at_all in (False, True):
+        engine = CpuEngine(model)
+        engine.load(start)
+        for number in range(count):
+            if looks_at_all:
+                engine._turn.far_until[:] = 0
+            engine.advance_by(1, 1, verlet, probes, first_step=number)
+        ends.append((engine.read().displacement.tobytes(), engine.read().velocity.tobytes(), engine.probe_impulse))
+        if not looks_at_all:
+            assert (engine._turn.far_until > count).mean() > 0.3
+    assert ends[0][:2] == ends[1][:2]
+    np.testing.assert_array_equal(ends[0][2], ends[1][2])
+    assert np.abs(ends[0][2]).max() > 0.1
