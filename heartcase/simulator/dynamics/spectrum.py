@@ -13,14 +13,13 @@ from math import ceil, log, sqrt
 
 import numpy as np
 from numba import prange
-from scipy.sparse import csr_array
 
 from heartcase.compiling.kernel import loop_kernel
 from heartcase.schemas.arrays import Float64, Int8, Int32, Int64
 from heartcase.simulator.forces.cell_stiffness import CellStiffness
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 
-__all__ = ["Spectrum", "largest_eigenvalue"]
+__all__ = ["Spectrum", "Ties", "largest_eigenvalue"]
 
 
 SHORTFALL = 0.02
@@ -45,7 +44,25 @@ class Spectrum:
     """Steps of Lanczos that were taken."""
 
 
-def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL, ties: csr_array | None = None) -> Spectrum:
+@dataclass(frozen=True)
+class Ties:
+    """What ties nodes together: each resists movements of its ends alike in all directions."""
+
+    number: Int64
+    """Tie, from 0 on, of each of its nodes, shape (any,)."""
+    nodes: Int64
+    """The node, the same."""
+    shares: Float64
+    """Share that it has in the tie, times the root of the tie's stiffness [k], the same."""
+
+    def add_times(self, moved: Float64, inverse_root: Float64, product: Float64) -> None:
+        """Add their stiffness times displacements, over the roots of the masses, (node_count, 3)."""
+        for axis in range(3):
+            pull = np.bincount(self.number, self.shares * moved[self.nodes, axis])[self.number]
+            product[:, axis] += inverse_root * np.bincount(self.nodes, self.shares * pull, len(inverse_root))
+
+
+def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL, ties: Ties | None = None) -> Spectrum:
     """Bounds on the largest eigenvalue of a lattice at rest, without its fixed nodes and explicit springs.
 
     Parameters
@@ -55,8 +72,7 @@ def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL, tie
     shortfall
         Most that ``lower`` falls short of ``upper``, as a part of it; above 0 and below 1.
     ties
-        What ties nodes together besides: a row for each, with the root of its stiffness [k] times the share that each
-        node has in it, shape (any, node_count). It resists movements of its ends alike in all directions.
+        What ties nodes together besides.
     """
     free = ~model.node_is_fixed
     inverse_root = np.where(free, 1.0 / np.sqrt(model.node_mass.astype(np.float64)), 0.0)
@@ -76,7 +92,7 @@ def largest_eigenvalue(model: LatticeModel, *, shortfall: float = SHORTFALL, tie
         _stiffness_times(*springs, inverse_root, moved, product)
         cells.add_times(moved, inverse_root, product)
         if ties is not None:
-            product += inverse_root[:, None] * (ties.T @ (ties @ moved))
+            ties.add_times(moved, inverse_root, product)
         diagonal.append(float((vector * product).sum()))
         product -= diagonal[-1] * vector
         if beside:

@@ -7,10 +7,11 @@ nodes are tied together has as its highest frequency what it has without, or tha
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.sparse import coo_array, csr_array
+from dataclasses import replace
 
-from heartcase.simulator.dynamics.spectrum import largest_eigenvalue
+import numpy as np
+
+from heartcase.simulator.dynamics.spectrum import Ties, largest_eigenvalue
 from heartcase.simulator.lattice.loose_nodes import loose_first, with_loose_nodes
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.sub_lattice import cells_around, sub_lattice
@@ -41,26 +42,27 @@ def rate_where_tied(model: LatticeModel, tethers: Tethers) -> float:
         return 0.0
     ties, first = ties_of(model, tethers), loose_first(model)
     is_tied = np.zeros(model.node_count, np.bool_)
-    is_tied[ties.indices] = True
+    is_tied[ties.nodes] = True
     is_tied[first:] = False
     around, nodes = sub_lattice(model, cells_around(model, is_tied, _RINGS))
     if model.loose_count:
         around = with_loose_nodes(around, model.node_mass[first:])
         nodes = np.append(nodes, np.arange(first, model.node_count))
-    return largest_eigenvalue(around, shortfall=_SHORTFALL, ties=ties[:, nodes]).upper
+    number = np.empty(model.node_count, np.int64)
+    number[nodes] = np.arange(len(nodes))
+    ties = replace(ties, nodes=number[ties.nodes])
+    return largest_eigenvalue(around, shortfall=_SHORTFALL, ties=ties).upper
 
 
-def ties_of(model: LatticeModel, tethers: Tethers) -> csr_array:
+def ties_of(model: LatticeModel, tethers: Tethers) -> Ties:
     """Threads and explicit springs as :func:`heartcase.simulator.dynamics.spectrum.largest_eigenvalue` takes them."""
-    explicit = model.explicit
+    explicit, thread_count = model.explicit, tethers.count
     root = np.sqrt(np.concatenate([tethers.stiffness, explicit.stiffness]).astype(np.float64))
-    count, thread_count = len(root), tethers.count
-    ends = np.tile([-1.0, 1.0], (explicit.count, 1))
-    share = np.concatenate([tethers.shares.astype(np.float64).ravel(), ends.ravel()])
-    of_tie = np.concatenate(
-        [np.repeat(np.arange(thread_count), tethers.nodes.shape[1]), np.repeat(np.arange(thread_count, count), 2)]
-    )
-    node = np.concatenate([tethers.nodes.ravel(), explicit.nodes.ravel()])
-    ties = coo_array((root[of_tie] * share, (of_tie, node)), shape=(count, model.node_count)).tocsr()
-    ties.eliminate_zeros()
-    return ties
+    of_threads = np.repeat(np.arange(thread_count), tethers.nodes.shape[1])
+    of_springs = thread_count + np.repeat(np.arange(explicit.count), 2)
+    number = np.concatenate([of_threads, of_springs])
+    nodes = np.concatenate([tethers.nodes.ravel(), explicit.nodes.ravel()]).astype(np.int64)
+    ends = np.tile([-1.0, 1.0], explicit.count)
+    shares = root[number] * np.concatenate([tethers.shares.ravel().astype(np.float64), ends])
+    kept = shares != 0.0
+    return Ties(number[kept], nodes[kept], shares[kept])
