@@ -5,7 +5,7 @@ away and pushed 11 mm into the front; ``stitches`` ten threads across the front,
 of 8 mm. Each is what a frame takes at the median of 60, over the time that it simulates, with steps as long as the pace
 allows and with steps as they are; beside it how far 20 steps from there are from the reference's, and cells inside out.
 
-    python -m benchmarks.instrument_steps
+    HEARTCASE_CASE=out/adult-phantom.case python -m benchmarks.instrument_steps
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from heartcase.simulator.load import Case, load_case
 from heartcase.simulator.simulation import Simulation
 
 WARM_UP, FRAMES, COMPARED = 5, 60, 20
+ADULT = {"size": "adult", "spacing_mm": 1.75}
+"""The case that is built where ``HEARTCASE_CASE`` names none."""
 WHAT = ("nothing", "probe far", "probe", "stitches", "patch")
 
 
@@ -50,13 +52,13 @@ def frame_times(simulation: Simulation, front: Float64, what: str) -> list[float
     if what == "stitches":
         for number in range(10):
             ends = front + np.array([[-4.0, 0.0, 4.0 * number - 20.0], [4.0, 0.0, 4.0 * number - 20.0]])
-            places = [case_place(simulation, point) for point in ends]
+            places = [surface_place(simulation, point) for point in ends]
             thread = simulation.stitch(places, name=f"stitch {number}")
             simulation.draw(thread, tension_n=0.1)
     if what == "patch":
         turns = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
         ring = front + 8.0 * np.stack([np.cos(turns), np.zeros(24), np.sin(turns)], axis=1)
-        simulation.patch([case_place(simulation, point) for point in ring])
+        simulation.patch([surface_place(simulation, point) for point in ring])
     times = []
     for number in range(WARM_UP + FRAMES):
         if probe is not None and what == "probe":
@@ -68,7 +70,7 @@ def frame_times(simulation: Simulation, front: Float64, what: str) -> list[float
     return times[WARM_UP:]
 
 
-def case_place(simulation: Simulation, point: Float64) -> Float64:
+def surface_place(simulation: Simulation, point: Float64) -> Float64:
     """The vertex of the surface now that is nearest to a point, LPS mm."""
     vertices = simulation.surface_now().vertices_mm.astype(np.float64)
     nearest: Float64 = vertices[np.linalg.norm(vertices - point, axis=1).argmin()]
@@ -90,7 +92,7 @@ def difference(simulation: Simulation) -> float:
 
 def main() -> None:
     """Print a row for each."""
-    path = Path(os.environ["HEARTCASE_CASE"]) if "HEARTCASE_CASE" in os.environ else built_case({"size": "adult"})
+    path = Path(os.environ["HEARTCASE_CASE"]) if "HEARTCASE_CASE" in os.environ else built_case(ADULT)
     case = load_case(path, needs=("surface", "tissue"))
     assert case.surface is not None
     print(f"{case.model.node_count:,} nodes, {len(case.surface.triangles):,} triangles")

@@ -257,7 +257,7 @@ def _look_at_cell(
     position: Float32,
     moved: Float32,
 ) -> bool:
-    """Write whether one cell is to be looked after, and whether one of its corners would come to harm then.
+    """Mark one cell if it is to be looked after, and whether one of its corners would come to harm then.
 
     As of :func:`_find_corners`, of which the rows of a vector each are room.
     """
@@ -275,7 +275,6 @@ def _look_at_cell(
         volumes[corner] = _volume(_edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3))
         is_flat = is_flat or volumes[corner] < volume_most
     if near == 0 and not is_flat:
-        turn.watched[own] = 0
         return False
     turn.watched[own] = np.int8(1) + near
     for corner in range(8):
