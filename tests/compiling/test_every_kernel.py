@@ -47,7 +47,8 @@ from heartcase.simulator.load import load_case
 from heartcase.simulator.mesh_arrangement.sheet_sides import directions_of
 from heartcase.simulator.mesh_arrangement.surface_crossings import is_inside
 from heartcase.simulator.simulation import Simulation
-from heartcase.simulator.surface_splitting.split_surface import CuttableSurface, split_surface
+from heartcase.simulator.surface_splitting.cuttable_surface import CuttableSurface
+from heartcase.simulator.surface_splitting.split_surface import split_surface
 from tests.compiling.all_modules import import_all
 
 pytestmark = pytest.mark.versions

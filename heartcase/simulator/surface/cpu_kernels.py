@@ -11,9 +11,18 @@ from numba import get_num_threads
 from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.simulator.engine.cpu.barrier import Barrier, ThreadTeam
-from heartcase.simulator.surface.formulas import make_vertex_math
+from heartcase.simulator.surface.formulas import make_cell_math, make_vertex_math
 
-__all__ = ["EVERYTHING", "MOVED", "deform_vertices", "mark_moved", "move_at_rest", "node_normals", "place_nodes"]
+__all__ = [
+    "EVERYTHING",
+    "MOVED",
+    "deform_in_cells",
+    "deform_vertices",
+    "mark_moved",
+    "move_at_rest",
+    "node_normals",
+    "place_nodes",
+]
 
 
 EVERYTHING: UInt8 = np.zeros(0, np.uint8)
@@ -30,6 +39,7 @@ _ZERO = np.float32(0)
 _OPTIONS: dict[str, Any] = {"error_model": "numpy"}
 _inlined = kernel(cached=False, forceinline=True, **_OPTIONS)
 _spring_direction, _normal_of_sum, _vertex_frame, _along = make_vertex_math(_inlined)
+_cell_frame, _turned_normal, _turned_tangent = make_cell_math(_inlined)
 
 
 @_inlined
@@ -87,6 +97,43 @@ def _deform_between(start, end, hung, drawn, axes, node_normal, displacement, ma
             for number in range(first[v], first[v + 1]):
                 r = render_vertices[number]
                 t = _turned(_along(tangent, r, T, N, B), direction)
+                tangents[r, 0], tangents[r, 1], tangents[r, 2], tangents[r, 3] = t[0], t[1], t[2], tangent[r, 3]
+
+
+@kernel(**_OPTIONS)
+def _deform_in_cells(start, end, cells, hung, drawn, axes, displacement, marks, vertices_mm, normals, tangents):
+    vertices, corners, local, beyond, normal, basis = cells
+    triangle_nodes, curvature, rest_mm = hung
+    first, render_vertices, tangent = drawn
+    to_mm, direction = axes
+    is_marked, is_drawn = len(marks) > 0, len(tangents) > 0
+    for n in range(start, end):
+        v = vertices[n]
+        if is_marked:
+            # what the triangles' kernel wrote is written again
+            near = marks[triangle_nodes[v, 0]] | marks[triangle_nodes[v, 1]] | marks[triangle_nodes[v, 2]]
+            near &= MOVED + TURNED * curvature[v]
+            for corner in range(8):
+                near |= marks[corners[n, corner]] & MOVED
+            if not near:
+                continue
+        moved, columns = _cell_frame(n, corners, local, beyond, displacement)
+        way = _turned(moved, to_mm)
+        across = _turned_normal(normal[n, 0], normal[n, 1], normal[n, 2], columns)
+        turned = _turned(across, direction)
+        for axis in range(3):
+            vertices_mm[v, axis] = rest_mm[v, axis] + way[axis]
+            normals[v, axis] = turned[axis]
+        if is_drawn:
+            T, N, B = (
+                (basis[n, 0, 0], basis[n, 0, 1], basis[n, 0, 2]),
+                (basis[n, 1, 0], basis[n, 1, 1], basis[n, 1, 2]),
+                (basis[n, 2, 0], basis[n, 2, 1], basis[n, 2, 2]),
+            )
+            for number in range(first[v], first[v + 1]):
+                r = render_vertices[number]
+                x, y, z = _along(tangent, r, T, N, B)
+                t = _turned(_turned_tangent(x, y, z, columns, across), direction)
                 tangents[r, 0], tangents[r, 1], tangents[r, 2], tangents[r, 3] = t[0], t[1], t[2], tangent[r, 3]
 
 
@@ -175,6 +222,32 @@ def deform_vertices(
     """
     arrays = (hung, drawn, axes, node_normal, displacement, marks, *written)
     _run(_deform_between, len(written[0]), arrays, together)
+
+
+def deform_in_cells(
+    cells: tuple[Any, ...],
+    hung: tuple[Any, ...],
+    drawn: tuple[Any, ...],
+    axes: tuple[Float32, Float32],
+    displacement: Float32,
+    written: tuple[Float32, Float32, Float32],
+    marks: UInt8 = EVERYTHING,
+    *,
+    together: bool = False,
+) -> None:
+    """Deform the vertices that follow the corners of cells, after :func:`deform_vertices` and over what it wrote.
+
+    Parameters
+    ----------
+    cells
+        ``arrays`` of :class:`heartcase.simulator.surface.cell_vertices.CellVertices`.
+    hung
+        Triangle's nodes, curvature and rest positions [LPS mm] of all vertices.
+    drawn, axes, displacement, written, marks, together
+        As of :func:`deform_vertices`.
+    """
+    arrays = (cells, hung, drawn, axes, displacement, marks, *written)
+    _run(_deform_in_cells, len(cells[0]), arrays, together)
 
 
 def place_nodes(

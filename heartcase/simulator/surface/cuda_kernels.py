@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from numba import cuda
 
-from heartcase.simulator.surface.formulas import make_surface_math
+from heartcase.simulator.surface.formulas import make_cell_math, make_surface_math
 
-__all__ = ["deform_vertices", "node_normals", "turn_tangents"]
+__all__ = ["deform_in_cells", "deform_vertices", "node_normals", "turn_tangents"]
 
 _node_normal, _deform_vertex = make_surface_math(cuda.jit(device=True))
+_cell_frame, _turned_normal, _turned_tangent = make_cell_math(cuda.jit(device=True))
 
 
 @cuda.jit
@@ -85,3 +86,50 @@ def turn_tangents(bases, render_to_welded, tangent, direction, turned):
                 total += tangent[r, row] * along
             turned[r, axis] = total
         turned[r, 3] = tangent[r, 3]
+
+
+@cuda.jit
+def deform_in_cells(
+    vertices,
+    corners,
+    local,
+    beyond,
+    normal,
+    basis,
+    displacement,
+    rest_mm,
+    to_mm,
+    direction,
+    render_first,
+    render_vertices,
+    tangent,
+    vertices_mm,
+    normals,
+    turned,
+):
+    """Write the vertices that follow the corners of cells, over what the other kernels wrote.
+
+    The first six are ``arrays`` of :class:`heartcase.simulator.surface.cell_vertices.CellVertices`; the rest as in
+    :func:`deform_vertices` and :func:`turn_tangents`, ``tangent`` empty where none is wanted.
+    """
+    n = cuda.grid(1)
+    if n < vertices.shape[0]:
+        v = vertices[n]
+        moved, columns = _cell_frame(n, corners, local, beyond, displacement)
+        across = _turned_normal(normal[n, 0], normal[n, 1], normal[n, 2], columns)
+        i, j, k = across
+        for axis in range(3):
+            way = moved[0] * to_mm[0, axis] + moved[1] * to_mm[1, axis] + moved[2] * to_mm[2, axis]
+            vertices_mm[v, axis] = rest_mm[v, axis] + way
+            normals[v, axis] = i * direction[0, axis] + j * direction[1, axis] + k * direction[2, axis]
+        if tangent.shape[0] > 0:
+            for number in range(render_first[v], render_first[v + 1]):
+                r = render_vertices[number]
+                a, b, c = tangent[r, 0], tangent[r, 1], tangent[r, 2]
+                x = a * basis[n, 0, 0] + b * basis[n, 1, 0] + c * basis[n, 2, 0]
+                y = a * basis[n, 0, 1] + b * basis[n, 1, 1] + c * basis[n, 2, 1]
+                z = a * basis[n, 0, 2] + b * basis[n, 1, 2] + c * basis[n, 2, 2]
+                i, j, k = _turned_tangent(x, y, z, columns, across)
+                for axis in range(3):
+                    turned[r, axis] = i * direction[0, axis] + j * direction[1, axis] + k * direction[2, axis]
+                turned[r, 3] = tangent[r, 3]

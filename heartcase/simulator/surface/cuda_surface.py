@@ -12,7 +12,12 @@ from heartcase.simulator.engine.backends import Engine
 from heartcase.simulator.engine.cuda.cells import plain_launch
 from heartcase.simulator.engine.cuda.engine import CudaEngine
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.surface.cuda_kernels import deform_vertices, node_normals, turn_tangents
+from heartcase.simulator.surface.cuda_kernels import (
+    deform_in_cells,
+    deform_vertices,
+    node_normals,
+    turn_tangents,
+)
 from heartcase.simulator.surface.deform import DeformedSurface, SurfaceModel
 
 __all__ = ["SurfaceOnDevice", "deform_on_device"]
@@ -47,6 +52,9 @@ class SurfaceOnDevice:
         )
         self._rest = _on_device(surface.rest_mm, surface.rest_turn, direction * np.float32(model.cell_mm), direction)
         self._tangents = _on_device(surface.render_to_welded, surface.tangent, direction)
+        self.cell_vertex_count = len(surface.in_cells.vertices)
+        self._in_cells = _on_device(*surface.in_cells.arrays)
+        self._drawn = _on_device(*surface.drawn) if self.cell_vertex_count else ()
         base_count = self.vertex_count if self.render_vertex_count else 0
         self._node_normals = cuda.to_device(np.zeros((max(self.normal_count, 1), 3), np.float32))
         self._bases = cuda.device_array((base_count, 3, 3), np.float32)
@@ -73,6 +81,19 @@ class SurfaceOnDevice:
             )
         if self.render_vertex_count:
             turn_tangents[plain_launch(self.render_vertex_count)](self._bases, *self._tangents, self._turned)
+        if self.cell_vertex_count:
+            rest_mm, _, to_mm, direction = self._rest
+            deform_in_cells[plain_launch(self.cell_vertex_count)](
+                *self._in_cells,
+                displacement,
+                rest_mm,
+                to_mm,
+                direction,
+                *self._drawn,
+                self._vertices,
+                self._normals,
+                self._turned,
+            )
         cuda.synchronize()
         return DeformedSurface(
             vertices_mm=np.array(self._vertices),

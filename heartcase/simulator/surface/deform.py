@@ -1,15 +1,16 @@
 """The visible surface: how it follows the nodes (thesis 9.3.2 and 9.3.3).
 
-Each vertex hangs on a triangle of nodes: a reference point on the triangle plus an offset in its basis (T, N, B). The
-basis is the triangle's own (eq. 9.6), or one whose normal is interpolated from the approximate normals of the three
-nodes (eq. 9.3 and 9.8), so that the surface bends smoothly from triangle to triangle. All bases are normalised, which
-the thesis leaves out. What is stored and computed are displacements from rest, so that the surface at rest is the
-bundle's to the last bit.
+Each vertex of an uncut surface hangs on a triangle of nodes: a reference point on the triangle plus an offset in its
+basis (T, N, B). The basis is the triangle's own (eq. 9.6), or one whose normal is interpolated from the approximate
+normals of the three nodes (eq. 9.3 and 9.8), so that the surface bends smoothly from triangle to triangle. All bases
+are normalised, which the thesis leaves out. Along cuts vertices follow the corners of a cell instead
+(:mod:`heartcase.simulator.surface.cell_vertices`). What is stored and computed are displacements from rest, so that the
+surface at rest is the bundle's to the last bit.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -17,7 +18,15 @@ import numpy as np
 from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int32, Int64, UInt8
 from heartcase.schemas.errors import HeartcaseError, SimulationError
 from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
-from heartcase.simulator.surface.cpu_kernels import EVERYTHING, deform_vertices, move_at_rest, node_normals, place_nodes
+from heartcase.simulator.surface.cell_vertices import NO_CELL_VERTICES, CellVertices
+from heartcase.simulator.surface.cpu_kernels import (
+    EVERYTHING,
+    deform_in_cells,
+    deform_vertices,
+    move_at_rest,
+    node_normals,
+    place_nodes,
+)
 
 __all__ = [
     "Curvature",
@@ -91,6 +100,8 @@ class SurfaceModel:
     """Where each vertex's render vertices start in ``render_vertices``, shape (vertex_count + 1,)."""
     render_vertices: Int32
     """Render vertices, vertex by vertex, shape (render_vertex_count,)."""
+    in_cells: CellVertices = field(default=NO_CELL_VERTICES)
+    """Vertices that follow the corners of a cell instead of their triangle: along cuts."""
 
     @property
     def hung(self) -> tuple[Any, ...]:
@@ -335,17 +346,15 @@ def write_vertices(
         place_nodes(*picked, marks, together=together)
         return
     unit = direction.astype(np.float32)
+    turning = unit * np.float32(model.cell_mm), unit
     tangents = np.zeros((0, 4), np.float32) if frame.tangents is None else frame.tangents
-    deform_vertices(
-        surface.hung,
-        surface.drawn,
-        (unit * np.float32(model.cell_mm), unit),
-        node_normal,
-        displacement,
-        (frame.vertices_mm, frame.normals, tangents),
-        marks,
-        together=together,
-    )
+    room = frame.vertices_mm, frame.normals, tangents
+    drawn = surface.drawn
+    deform_vertices(surface.hung, drawn, turning, node_normal, displacement, room, marks, together=together)
+    if len(surface.in_cells.vertices):
+        hung = surface.triangle_nodes, surface.curvature, surface.rest_mm
+        cells = surface.in_cells.arrays
+        deform_in_cells(cells, hung, drawn, turning, displacement, room, marks, together=together)
 
 
 def ways_of_nodes(model: LatticeModel) -> Int64:

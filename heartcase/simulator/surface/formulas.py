@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["make_surface_math", "make_vertex_math"]
+__all__ = ["make_cell_math", "make_surface_math", "make_vertex_math"]
 
 SUM_MIN = np.float32(0.1)
 """Shortest sum of unit vectors that gives a normal; on a flat side it is 3.8."""
+
+SQUARED_MIN = np.float32(1e-12)
+"""Square of the shortest vector that has a direction."""
 
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
@@ -167,3 +170,76 @@ def make_surface_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any]:
                 bases[v, 0, axis], bases[v, 1, axis], bases[v, 2, axis] = T[axis], N[axis], B[axis]
 
     return node_normal, deform_vertex
+
+
+def make_cell_math(compiled: Callable[[Any], Any]) -> tuple[Any, Any, Any]:
+    """The functions for vertices that follow all corners of a cell.
+
+    Parameters
+    ----------
+    compiled
+        Makes a function that kernels of a target can call.
+
+    Returns
+    -------
+    cell_frame
+        ``(n, corners, local, beyond, displacement)`` to how far a vertex has moved, by trilinear interpolation inside
+        its cell and along the deformation gradient F at the nearest place of it beyond, and the columns of F.
+    turned_normal
+        ``(x, y, z, columns)`` to the unit normal that a normal at rest becomes: along F's matrix of cofactors.
+    turned_tangent
+        ``(x, y, z, columns, normal)`` to the unit tangent that a tangent at rest becomes, across a normal.
+    """
+
+    @compiled
+    def cell_frame(n, corners, local, beyond, displacement):
+        x, y, z = local[n, 0], local[n, 1], local[n, 2]
+        ux, uy, uz = _ZERO, _ZERO, _ZERO
+        ax, ay, az = _ONE, _ZERO, _ZERO
+        bx, by, bz = _ZERO, _ONE, _ZERO
+        cx, cy, cz = _ZERO, _ZERO, _ONE
+        for corner in range(8):
+            node = corners[n, corner]
+            wx, sx = (x, _ONE) if corner & 1 else (_ONE - x, -_ONE)
+            wy, sy = (y, _ONE) if corner & 2 else (_ONE - y, -_ONE)
+            wz, sz = (z, _ONE) if corner & 4 else (_ONE - z, -_ONE)
+            dx, dy, dz = displacement[node, 0], displacement[node, 1], displacement[node, 2]
+            here, along_x, along_y, along_z = wx * wy * wz, sx * wy * wz, wx * sy * wz, wx * wy * sz
+            ux, uy, uz = ux + here * dx, uy + here * dy, uz + here * dz
+            ax, ay, az = ax + along_x * dx, ay + along_x * dy, az + along_x * dz
+            bx, by, bz = bx + along_y * dx, by + along_y * dy, bz + along_y * dz
+            cx, cy, cz = cx + along_z * dx, cy + along_z * dy, cz + along_z * dz
+        i, j, k = beyond[n, 0], beyond[n, 1], beyond[n, 2]
+        moved = (
+            ux + ((ax - _ONE) * i + bx * j + cx * k),
+            uy + (ay * i + (by - _ONE) * j + cy * k),
+            uz + (az * i + bz * j + (cz - _ONE) * k),
+        )
+        return moved, ((ax, ay, az), (bx, by, bz), (cx, cy, cz))
+
+    @compiled
+    def unit_or(x, y, z, otherwise):
+        squared = x * x + y * y + z * z
+        if squared < SQUARED_MIN:
+            return otherwise
+        scale = _ONE / np.float32(sqrt(squared))
+        return x * scale, y * scale, z * scale
+
+    @compiled
+    def turned_normal(x, y, z, columns):
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = columns
+        return unit_or(
+            x * (by * cz - bz * cy) + y * (cy * az - cz * ay) + z * (ay * bz - az * by),
+            x * (bz * cx - bx * cz) + y * (cz * ax - cx * az) + z * (az * bx - ax * bz),
+            x * (bx * cy - by * cx) + y * (cx * ay - cy * ax) + z * (ax * by - ay * bx),
+            (x, y, z),
+        )
+
+    @compiled
+    def turned_tangent(x, y, z, columns, normal):
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = columns
+        i, j, k = x * ax + y * bx + z * cx, x * ay + y * by + z * cy, x * az + y * bz + z * cz
+        along = i * normal[0] + j * normal[1] + k * normal[2]
+        return unit_or(i - along * normal[0], j - along * normal[1], k - along * normal[2], (x, y, z))
+
+    return cell_frame, turned_normal, turned_tangent

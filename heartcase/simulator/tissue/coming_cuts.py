@@ -21,8 +21,9 @@ from heartcase.simulator.engine.backends import Backend, Engine, make_engine
 from heartcase.simulator.lattice.loose_nodes import without_loose_nodes
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.surface.deform import PickingModel
+from heartcase.simulator.surface_splitting.cuttable_surface import CuttableSurface
 from heartcase.simulator.surface_splitting.free_parts import cut_picking
-from heartcase.simulator.surface_splitting.split_surface import CuttableSurface, SplitSurface, split_surface
+from heartcase.simulator.surface_splitting.split_surface import SplitSurface, split_surface
 
 __all__ = ["CutTissue", "CutsAhead", "cut_tissue"]
 

@@ -29,8 +29,9 @@ from heartcase.simulator.lattice.state import State
 from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
 from heartcase.simulator.surface.shown_surfaces import ShownSurfaces
 from heartcase.simulator.surface.tissue_inside import tissue_inside
+from heartcase.simulator.surface_splitting.cuttable_surface import CuttableSurface
 from heartcase.simulator.surface_splitting.free_parts import cut_picking
-from heartcase.simulator.surface_splitting.split_surface import CuttableSurface, SplitSurface, split_surface
+from heartcase.simulator.surface_splitting.split_surface import SplitSurface, split_surface
 from heartcase.simulator.tissue.checked import check_fit
 from heartcase.simulator.tissue.coming_cuts import CutsAhead, CutTissue, cut_tissue
 

@@ -14,6 +14,7 @@ from heartcase.simulator.surface.cpu_kernels import EVERYTHING, MOVED, node_norm
 from heartcase.simulator.surface.deform import deform, deform_picking, empty_frame, make_picking, write_vertices
 from heartcase.simulator.surface.followers import SurfaceFollower
 from tests.simulator.lattices import block, oblique_geometry, random_field
+from tests.simulator.surface.test_cell_vertices import with_cells
 from tests.simulator.surface.test_surface import boundary_triangles, hung_surface
 
 MODES = ["none", "all", "flagged"]
@@ -27,6 +28,14 @@ def one_to_one(model):
     triangles = boundary_triangles(model)
     nodes = np.unique(triangles)
     return make_picking(model, nodes, np.searchsorted(nodes, triangles))
+
+
+def surface_in(model, mode, seed, tangents):
+    if mode == "one to one":
+        return one_to_one(model)
+    if mode == "in cells":
+        return with_cells(model, hung_surface(model, "flagged", seed=seed, tangents=tangents)[0], seed)[0]
+    return hung_surface(model, mode, seed=seed, tangents=tangents)[0]
 
 
 def arrays_of(frame):
@@ -48,14 +57,14 @@ def _share(request, monkeypatch):
 
 @settings(max_examples=25, deadline=None)
 @given(
-    st.sampled_from([*MODES, "one to one"]),
+    st.sampled_from([*MODES, "one to one", "in cells"]),
     st.booleans(),
     st.integers(0, 2**32 - 1),
     st.lists(st.sampled_from([0.0, 0.01, 0.05, 0.3, 0.7, 1.0]), min_size=2, max_size=6),
 )
 def test_frames_are_those_of_the_whole_to_the_bit(mode, tangents, seed, shares):
     model = lattice()
-    surface = one_to_one(model) if mode == "one to one" else hung_surface(model, mode, seed=seed, tangents=tangents)[0]
+    surface = surface_in(model, mode, seed, tangents)
     follower, plain = SurfaceFollower(model, surface), SurfaceFollower(model, surface, skips_unmoved=False)
     rng = np.random.default_rng(seed)
     displacement = random_field(model, seed, 0.3)

@@ -16,7 +16,8 @@ from heartcase.simulator.live.newest_worker import NewestWorker
 from heartcase.simulator.live.shapes import structures_after_cuts
 from heartcase.simulator.load import load_case
 from heartcase.simulator.surface.deform import SurfaceModel
-from heartcase.simulator.surface_splitting.split_surface import CuttableSurface, SplitSurface, split_surface
+from heartcase.simulator.surface_splitting.cuttable_surface import CuttableSurface
+from heartcase.simulator.surface_splitting.split_surface import SplitSurface, split_surface
 
 __all__ = ["CoarseLevel", "CoarserWorker", "load_coarser"]
 

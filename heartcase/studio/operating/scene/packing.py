@@ -38,6 +38,8 @@ BLOCK_NODES = 32
 """Nodes that are sent together: a block is sent where one of them moved."""
 SCALE_LEAST = 2.0**-10
 """Displacements are whole multiples of so many cells: 0.003 mm in cells of 3 mm."""
+IN_CELL = 2
+"""Curvature of a vertex that follows the corners of a cell."""
 _INT16_MAX = 32767
 
 
@@ -195,7 +197,12 @@ def _drawn(
 
 
 def _hung(surface: SurfaceModel, vertex: npt.NDArray[np.int64]) -> dict[str, npt.NDArray[Any]]:
-    """What is constant of some vertices, by the names of :class:`heartcase.simulator.surface.deform.SurfaceModel`."""
+    """What is constant of some vertices, by the names of :class:`heartcase.simulator.surface.deform.SurfaceModel`.
+
+    A graphics card takes no more than 16 attributes. So a vertex that follows the corners of a cell, curvature
+    :data:`IN_CELL`, has these in ``nodes``, ``normal_number`` and the first two numbers of ``offset``, its place in the
+    cell in ``edge_one``, what is beyond in ``edge_two``, and its normal along the grid's axes in ``normal``.
+    """
     found: dict[str, npt.NDArray[Any]] = {
         "nodes": surface.triangle_nodes[vertex],
         "weights": surface.weights[vertex],
@@ -208,6 +215,16 @@ def _hung(surface: SurfaceModel, vertex: npt.NDArray[np.int64]) -> dict[str, npt
         "rest_mm": surface.rest_mm[vertex],
         "rest_turn": surface.rest_turn[vertex],
     }
+    cells, row_of = surface.in_cells, np.full(surface.vertex_count, -1)
+    row_of[cells.vertices] = np.arange(len(cells.vertices))
+    at = np.flatnonzero(row_of[vertex] >= 0)
+    rows = row_of[vertex[at]]
+    found["curvature"][at] = IN_CELL
+    found["nodes"][at], found["normal_number"][at] = cells.corners[rows, :3], cells.corners[rows, 3:6]
+    # Whole numbers up to 2^24 are exact in float32.
+    found["offset"][at, :2] = cells.corners[rows, 6:]
+    found["edge_one"][at], found["edge_two"][at] = cells.local[rows], cells.beyond[rows]
+    found["normal"][at] = cells.normal[rows]
     return found
 
 

@@ -1,7 +1,7 @@
 /**
  * How a vertex of the surface follows its three nodes, as the server's `heartcase.simulator.surface` has it (eq. 9.6 to 9.9):
  * a reference point on the triangle of nodes, and an offset along the triangle's own basis T, N, B, or along one whose normal
- * lies between the normals of the nodes.
+ * lies between the normals of the nodes. Along a cut a vertex follows the eight corners of a cell instead.
  */
 
 import { ROW } from "./nodes.js";
@@ -46,8 +46,36 @@ vec3 unit(vec3 a) {
   return squared > 0.0 ? a * inversesqrt(squared) : vec3(0.0);
 }
 
+vec3 unitOr(vec3 a, vec3 otherwise) {
+  float squared = dot(a, a);
+  return squared < 1e-12 ? otherwise : a * inversesqrt(squared);
+}
+
+/* The same of a vertex in a cell: trilinear between its corners, and along the deformation gradient beyond. Messages have the
+   corners in nodes, normalNumber and the first two of offset, the place in the cell in edgeOne, what is beyond in edgeTwo. */
+void placeInCell(out vec3 placeMm, out vec3 normal, out vec3 tangentHere, out float stretch) {
+  int corners[8] = int[8](nodes.x, nodes.y, nodes.z, normalNumber.x, normalNumber.y, normalNumber.z, int(offset.x), int(offset.y));
+  vec4 moved = vec4(0.0);
+  mat3 F = mat3(1.0);
+  for (int corner = 0; corner < 8; corner++) {
+    vec3 upper = vec3(corner & 1, (corner >> 1) & 1, (corner >> 2) & 1);
+    vec3 w = mix(1.0 - edgeOne, edgeOne, upper), s = 2.0 * upper - 1.0;
+    vec4 u = ofNode(displacements, corners[corner]);
+    moved += w.x * w.y * w.z * u;
+    F += outerProduct(u.xyz, vec3(s.x * w.y * w.z, w.x * s.y * w.z, w.x * w.y * s.z));
+  }
+  placeMm = position + cellMm * (direction * (moved.xyz + F * edgeTwo - edgeTwo));
+  normal = direction * unitOr(mat3(cross(F[1], F[2]), cross(F[2], F[0]), cross(F[0], F[1])) * along, along);
+  tangentHere = vec3(0.0);
+  stretch = moved.w;
+}
+
 /* Where the vertex is, LPS mm, its unit normal and tangent, LPS, and the stretch there, 0 to 1. */
 void place(out vec3 placeMm, out vec3 normal, out vec3 tangentHere, out float stretch) {
+  if (curvature > 1.5) {
+    placeInCell(placeMm, normal, tangentHere, stretch);
+    return;
+  }
   vec4 u1 = ofNode(displacements, nodes.x), u2 = ofNode(displacements, nodes.y), u3 = ofNode(displacements, nodes.z);
   vec3 T = unit(edgeOne + (u2.xyz - u1.xyz));
   vec3 N = unit(cross(T, edgeTwo + (u3.xyz - u1.xyz)));
