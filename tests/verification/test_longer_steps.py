@@ -17,6 +17,7 @@ from heartcase.simulator.dynamics.integrate import PACED_STEPS_LEAST, Verlet, st
 from heartcase.simulator.dynamics.step_size import StepSizes, default_step, own_step_limit
 from heartcase.simulator.engine.backends import make_engine
 from heartcase.simulator.forces.reference import elastic_forces
+from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
@@ -131,6 +132,41 @@ def test_engines_take_the_same_longer_steps_with_threads_that_are_drawn():
     assert force > 0.0
 
 
+@pytest.mark.parametrize(("away", "is_as_long"), [(30.0, True), (-2.5, False)])
+def test_a_probe_that_touches_nothing_leaves_the_longer_steps(away, is_as_long):
+    """The same bytes as without it; one that may touch has steps as they are."""
+    model = block(7, 4, 3, fix_base=True, law=ELEMENT)
+    at, ends = model.rest_positions_mm(), []
+    for place, pace in ((None, None), (away, None), (away, 1.0)):
+        simulation = Simulation(model, damping_per_s=30.0, pace=pace)
+        hand = simulation.grab(at[-1], 1.2 * model.cell_mm)
+        simulation.lead(hand, (0.0, 0.0, model.cell_mm))
+        if place is not None:
+            probe = simulation.probe(at[0] + np.array([place, 0.0, 0.0]) * model.cell_mm, model.cell_mm)
+            simulation.move(probe, at[0] + np.array([place, 1.0, 0.0]) * model.cell_mm)
+        simulation.step(60)
+        ends.append(simulation.state.displacement.tobytes())
+    assert (ends[1] == ends[0]) == is_as_long
+    assert (ends[1] == ends[2]) == (not is_as_long)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_probe_that_keeps_away_touches_nothing_on_its_way(seed):
+    rng = np.random.default_rng(seed)
+    model = block(4, 3, 2)
+    axis = rng.normal(0, 2, 3) if rng.random() < 0.5 else np.zeros(3)
+    axes = np.full(3, rng.uniform(0.5, 2)) if axis.any() else rng.uniform(0.5, 2, 3)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    probe = Probe(axes, turn, rng.uniform(-6, 9, 3), rng.uniform(-6, 9, 3), half_axis=axis)
+    state = State(random_field(model, seed, 0.2), random_field(model, seed + 1, 0.1))
+    if not probe.keeps_away(model, state, 3.0):
+        return
+    start, end = probe.centre, probe.target
+    for way in np.linspace(0, 1, 21):
+        probe.centre = start + way * (end - start)
+        assert not len(probe.touched(model, state.displacement + np.float32(3.0 * way) * state.velocity))
+
+
 def test_the_bytes_do_not_depend_on_how_a_row_is_shared_among_threads():
     model = block(60, 24, 12, fix_base=True, law=ELEMENT)
     start = State(random_field(model, 1, 0.05), random_field(model, 2, 0.01))
@@ -183,7 +219,7 @@ def test_the_pace_is_that_of_the_lattices_own_limit_and_for_whole_elements_alone
 
     simulation._engine.advance = advance
     simulation.step(60)
-    probe = simulation.probe(at.max(axis=0) + 20.0, 3.0)
+    probe = simulation.probe(at.max(axis=0) + 4.0, 3.0)
     simulation.step(60)
     simulation.withdraw(probe)
     simulation.step(60)

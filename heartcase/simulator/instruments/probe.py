@@ -12,11 +12,14 @@ from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.engine.shared.contact import probe_row
 from heartcase.simulator.instruments.placing import as_numbers, is_point, point_in_lattice, turn_in_grid
 from heartcase.simulator.lattice.model import LatticeModel
+from heartcase.simulator.lattice.state import State
 
 __all__ = ["Probe", "make_probe", "require_probe"]
 
 PROBE_MIN = 0.5
 """Smallest semi-axis of a probe [cells]."""
+AWAY = 2.0
+"""Nearer than so to where tissue may get, a probe may touch it [cells]."""
 TOUCH = 1e-3
 """Part of its size within which a node counts as touched by a probe: where it was pushed to is rounded."""
 
@@ -45,6 +48,26 @@ class Probe:
         return probe_row(
             self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn, self.half_axis
         )
+
+    def keeps_away(self, model: LatticeModel, state: State, duration: float) -> bool:
+        """Whether it touches nothing on the way to its target, if no node gets faster than the fastest is by much.
+
+        Parameters
+        ----------
+        model
+            The lattice.
+        state
+            How its nodes lie and go.
+        duration
+            How long it takes to get there [unit of time].
+        """
+        reach = AWAY + self.semi_axes.max() + np.linalg.norm(self.half_axis)
+        reach += duration * float(np.abs(state.velocity).max(initial=0.0)) * np.sqrt(3.0)
+        way = (self.target - self.centre).astype(np.float32)
+        to_nodes = model.node_index + state.displacement - self.centre.astype(np.float32)
+        length = max(float(way @ way), 1e-12)
+        to_nodes -= np.clip(to_nodes @ way / np.float32(length), 0.0, 1.0)[:, None] * way
+        return bool(np.einsum("nx,nx->n", to_nodes, to_nodes).min() > reach**2)
 
     def touched(self, model: LatticeModel, displacement: Float32) -> Intp:
         """Free nodes on its surface or in it now.
