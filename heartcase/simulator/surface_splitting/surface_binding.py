@@ -3,8 +3,8 @@
 A vertex that was there keeps its three nodes: copies of these that the tissue has which the vertex sees past the
 sheets. Where all of that tissue is beyond a sheet it is tied anew. A new vertex of a lip follows the nodes of a corner
 of the triangle that it lies on, if both lips can; else, as all other new ones, a face of its own cell. What a vertex
-belongs to is asked of a point a little inside the tissue behind it. Both, and those of which a node has a copy, move with
-all corners of that cell (:mod:`heartcase.simulator.surface.cell_vertices`); the three nodes say which side it is of.
+belongs to is asked of a point a little inside the tissue behind it. Both, and those of which a node has a copy, move
+with all corners of that cell (:mod:`heartcase.simulator.surface.cell_vertices`); the nodes say of which side they are.
 """
 
 from __future__ import annotations
