@@ -52,9 +52,10 @@ class SurfaceOnDevice:
         )
         self._rest = _on_device(surface.rest_mm, surface.rest_turn, direction * np.float32(model.cell_mm), direction)
         self._tangents = _on_device(surface.render_to_welded, surface.tangent, direction)
-        self.cell_vertex_count = len(surface.in_cells.vertices)
         self._in_cells = _on_device(*surface.in_cells.arrays)
-        self._drawn = _on_device(*surface.drawn) if self.cell_vertex_count else ()
+        # Without such vertices, too: the first cut need not wait for the kernel.
+        self._cell_launch = plain_launch(max(len(surface.in_cells.vertices), 1))
+        self._drawn = _on_device(*surface.drawn)
         base_count = self.vertex_count if self.render_vertex_count else 0
         self._node_normals = cuda.to_device(np.zeros((max(self.normal_count, 1), 3), np.float32))
         self._bases = cuda.device_array((base_count, 3, 3), np.float32)
@@ -81,19 +82,10 @@ class SurfaceOnDevice:
             )
         if self.render_vertex_count:
             turn_tangents[plain_launch(self.render_vertex_count)](self._bases, *self._tangents, self._turned)
-        if self.cell_vertex_count:
-            rest_mm, _, to_mm, direction = self._rest
-            deform_in_cells[plain_launch(self.cell_vertex_count)](
-                *self._in_cells,
-                displacement,
-                rest_mm,
-                to_mm,
-                direction,
-                *self._drawn,
-                self._vertices,
-                self._normals,
-                self._turned,
-            )
+        rest_mm, _, to_mm, direction = self._rest
+        turning = displacement, rest_mm, to_mm, direction
+        written = self._vertices, self._normals, self._turned
+        deform_in_cells[self._cell_launch](*self._in_cells, *turning, *self._drawn, *written)
         cuda.synchronize()
         return DeformedSurface(
             vertices_mm=np.array(self._vertices),

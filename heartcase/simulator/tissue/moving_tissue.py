@@ -27,6 +27,7 @@ from heartcase.simulator.lattice.loose_nodes import without_loose_nodes
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.surface.deform import DeformedSurface, PickingModel, SurfaceModel
+from heartcase.simulator.surface.followers import SurfaceFollower
 from heartcase.simulator.surface.shown_surfaces import ShownSurfaces
 from heartcase.simulator.surface.tissue_inside import tissue_inside
 from heartcase.simulator.surface_splitting.cuttable_surface import CuttableSurface
@@ -213,6 +214,8 @@ class MovingTissue:
                 blade_at_rest(model, moved, refined(there, "blade"), cuts.parted)
             made = self._cut_tissue(model, cuts, middle + way, engine)
             model, cuts, engine, state = made.model, made.cuts, made.engine, made.step.carried(state)
+        if made.split is not None and self.backend != "cuda":
+            SurfaceFollower(model, made.split.surface).prepare()
 
     def rest_poses_mm(self, poses_mm: Poses, *, name: str = "blade") -> Float64:
         """Where a blade that is swept now meets the tissue at rest: more poses and points, LPS mm, (any, any, 3).
