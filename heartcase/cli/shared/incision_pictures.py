@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ __all__ = [
     "STRESS_MOST_KPA",
     "STRETCH_MOST",
     "film_of_defect",
-    "stress_colours",
     "stretch_colours",
     "view_of_defect",
 ]
@@ -46,18 +45,16 @@ _LAST_FRAMES = 12
 
 def stretch_colours(held: HeldOpen, simulation: Simulation) -> UInt8:
     """Colour of each triangle by the largest stretch around it, shape (triangle_count, 3)."""
-    return _by(held.strain.stretches[:, 0], held, simulation, 1.0, STRETCH_MOST)
-
-
-def stress_colours(held: HeldOpen, simulation: Simulation) -> UInt8:
-    """Colour of each triangle by the largest principal stress around it, shape (triangle_count, 3)."""
-    return _by(held.strain.stress_kpa[:, 0], held, simulation, 0.0, STRESS_MOST_KPA)
-
-
-def _by(values: Float64, held: HeldOpen, simulation: Simulation, lowest: float, highest: float) -> UInt8:
     assert simulation.surface is not None
-    shown = at_vertices(values, held, simulation)
-    return vertex_colours(shown[simulation.surface.triangles].mean(axis=1), lowest, highest)
+    shown = at_vertices(held.strain.stretches[:, 0], held, simulation)
+    return vertex_colours(shown[simulation.surface.triangles].mean(axis=1), 1.0, STRETCH_MOST)
+
+
+def _colours_of_vertices(held: HeldOpen, simulation: Simulation) -> tuple[UInt8, UInt8]:
+    """Colours of the vertices by the largest stretch and principal stress around them, shape (vertex_count, 3) each."""
+    stretch = at_vertices(held.strain.stretches[:, 0], held, simulation)
+    stress = at_vertices(held.strain.stress_kpa[:, 0], held, simulation)
+    return vertex_colours(stretch, 1.0, STRETCH_MOST), vertex_colours(stress, 0.0, STRESS_MOST_KPA)
 
 
 def view_of_defect(held: HeldOpen, defect: str, simulation: Simulation, colours: UInt8) -> UInt8:
@@ -85,9 +82,7 @@ def view_of_defect(held: HeldOpen, defect: str, simulation: Simulation, colours:
         raise MissingExtraError("A picture", "prepare") from None
     eye = _Eye.best(held, defect)
     seen = Seen.now(simulation, colours)
-    by_stretch, by_stress = (
-        replace(seen, colours=one) for one in (stretch_colours(held, simulation), stress_colours(held, simulation))
-    )
+    by_stretch, by_stress = _colours_of_vertices(held, simulation)
     part = held.figures[defect].rim_seen_best or 0.0
     rim = held.rims_mm[defect]
     far = eye.camera(seen.surface.vertices_mm.astype(float))
@@ -95,8 +90,8 @@ def view_of_defect(held: HeldOpen, defect: str, simulation: Simulation, colours:
     pictures = {
         held.plan.name: _drawn(seen, rim, far),
         f"{part:.0%} of the rim (green) seen from the best eye": _drawn(seen, rim, near),
-        f"stretch, 1 (blue) to {STRETCH_MOST:g} (red)": _drawn(by_stretch, rim, near),
-        f"stress, 0 (blue) to {STRESS_MOST_KPA:g} kPa (red)": _drawn(by_stress, rim, near),
+        f"stretch, 1 (blue) to {STRETCH_MOST:g} (red)": _drawn(seen, rim, near, by_stretch),
+        f"stress, 0 (blue) to {STRESS_MOST_KPA:g} kPa (red)": _drawn(seen, rim, near, by_stress),
     }
     return montage(pictures, columns=2)
 
@@ -164,17 +159,19 @@ class _Eye:
         return camera_for(shown_mm, towards=self.towards, up=up, size=size)
 
 
-def _drawn(seen: Seen, rim_mm: Float64, camera: Any) -> UInt8:
-    """What is seen, with green marks along the rim."""
+def _drawn(seen: Seen, rim_mm: Float64, camera: Any, by_vertex: UInt8 | None = None) -> UInt8:
+    """What is seen, in its own colours or in those of its vertices, with green marks along the rim."""
     from heartcase.pipeline.report.render import Mesh, draw_mesh
 
     marks, mark_normals, mark_triangles = _marks(divided(rim_mm, _APART_MM, is_closed=True)[0])
-    points = seen.surface.vertices_mm.astype(float)
+    points, colours = seen.surface.vertices_mm.astype(float), seen.colours if by_vertex is None else by_vertex
+    marked = len(mark_triangles if by_vertex is None else marks)
     mesh = Mesh(
         np.concatenate([points, marks]),
         np.concatenate([seen.triangles.astype(np.int64), mark_triangles + len(points)]),
         np.concatenate([seen.surface.normals.astype(float), mark_normals]),
-        np.concatenate([seen.colours, np.tile(np.array(_RIM_COLOUR, np.uint8), (len(mark_triangles), 1))]),
+        np.concatenate([colours, np.tile(np.array(_RIM_COLOUR, np.uint8), (marked, 1))]),
+        colours_of_points=by_vertex is not None,
     )
     return draw_mesh(mesh, camera, depth_shading=True)
 
