@@ -219,7 +219,7 @@ class Simulation(PatchedTissue, OperatedTissue):
         duration = step_count * self.verlet.step
         before, verlet = self.state, self._paced
         if self.probes and not all(probe.keeps_away(self.model, before, duration) for probe in self.probes):
-            # At longer steps what a probe pushes against may turn inside out.
+            # At longer steps elements that a probe holds pressed do not come to rest.
             verlet = self.verlet
         taken_count = verlet.row(step_count).step_count
         led = []

@@ -51,7 +51,8 @@ def check(law, seeds, backend="cpu"):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_no_probe_turns_a_cell_inside_out(law):
-    check(LAWS[law], range(40))
+    # In the last two a quick node turns a corner of a cell that was not flat and that no probe is near.
+    check(LAWS[law], (*range(40), 586, 783))
 
 
 @pytest.mark.slow

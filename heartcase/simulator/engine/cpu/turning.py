@@ -1,8 +1,8 @@
 """Probes push nodes out, and movements are shortened that would turn a corner: the CPU kernel's last part of a step.
 
-Rounds with a barrier after each. Nodes inside a probe are pushed out of it; cells near a probe, and those that have a
-corner below LOOK_BELOW, see whether one of their corners would come to harm. Where one would, which is seldom, they
-write what their corners allow, and nodes take the least of the cells around them. See
+Rounds with a barrier after each. Nodes inside a probe are pushed out of it; cells near a probe, those that have a
+corner below LOOK_BELOW, and those of quick nodes see whether one of their corners would come to harm. Where one would,
+which is seldom, they write what their corners allow, and nodes take the least of the cells around them. See
 :mod:`heartcase.simulator.engine.shared.contact` and :mod:`heartcase.simulator.engine.shared.turning`. What probes
 give is added up in as many sums as there are shares of windows, whatever the number of threads.
 """
@@ -52,6 +52,11 @@ FAR_STEPS = 64
 axis, and a probe need at least to come near each other."""
 
 
+QUICK = 0.02
+"""Way in a step from which on the cells around a node are looked at [cells]. Edges change by twice that at most: slower
+nodes turn no corner of LOOK_BELOW in one step, unless its edges are longer than two cells."""
+
+
 class TurnArrays(NamedTuple):
     """Room for what the rounds of a step tell one another; what is near is of the last step that had probes."""
 
@@ -59,8 +64,10 @@ class TurnArrays(NamedTuple):
     """Number of the last probe near each lane's node, from one on, shape (lane_count,)."""
     is_near: Int8
     """One where a window of nodes has one near, two where it is pushed, shape (window_count,)."""
+    is_quick: Int8
+    """Whether a window of nodes has one that goes by more than QUICK in the step, shape (window_count,)."""
     near_in: Int64
-    """Step of a row, from one on, in which one of each NEAR_WINDOWS windows had one near last, shape (any,)."""
+    """Step of a row, from one on, in which one of each NEAR_WINDOWS windows was quick or had one near last, (any,)."""
     far_until: Int64
     """Step of a row up to which no probe can come near each window of nodes, shape (window_count,)."""
     is_watched: Int8
@@ -80,6 +87,7 @@ def turn_arrays(layout: LaneLayout, cell_window_count: int) -> TurnArrays:
     lane_count, window_count = layout.lane_count, layout.window_count
     return TurnArrays(
         untouched((lane_count,), np.int8),
+        np.zeros(window_count, np.int8),
         np.zeros(window_count, np.int8),
         np.zeros(window_count // NEAR_WINDOWS + 1, np.int64),
         np.zeros(window_count, np.int64),
@@ -148,6 +156,20 @@ def _least_squares(typing_context, now, later, rest, rows, window, before, after
     return pair(now, later, rest, rows, types.int64, point, point), codegen
 
 
+@intrinsic
+def _is_quick(typing_context, velocity, rows, window, square_most):
+    """Whether a node of a window has a speed whose square is above some."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = zip(signature.args[:2], arguments, strict=False)
+        v, starts = (array_data(context, builder, *pair) for pair in arrays)
+        x, y, z = Window(builder, starts, arguments[2]).load_vector(v)
+        most = Lanes.filled(builder, arguments[3])
+        return (x * x + y * y + z * z - most).is_any_positive()
+
+    return types.boolean(velocity, rows, types.int64, types.float32), codegen
+
+
 @kernel(cached=False)
 def _steps_out_of_reach(
     window: int, now: Float32, later: Float32, rest: Float32, rows: Int64, probes: Float32, step_number: int
@@ -186,10 +208,18 @@ def push_out(
     turn: TurnArrays,
     given: Float64,
 ) -> None:
-    """Push the nodes of a thread's windows out of the probes; mark what is near. Impulses are added to ``given``."""
+    """Push the nodes of a thread's windows out of the probes; mark what is near, or quick.
+
+    Impulses are added to ``given``.
+    """
+    fastest = np.float32(QUICK) / step
     for share in range(thread, SHARES, thread_count):
         first, end = part_of(share, len(rows))
         for window in range(first, end):
+            is_quick = _is_quick(velocity, rows, window, fastest * fastest)
+            turn.is_quick[window] = is_quick
+            if is_quick:
+                turn.near_in[window // NEAR_WINDOWS] = step_number + 1
             if step_number > 0 and step_number < turn.far_until[window]:
                 continue
             start = rows[window, 4]
@@ -253,11 +283,14 @@ def _look_at_cell(
     later: Float32,
     volume_most: np.float32,
     has_probes: bool,
+    is_quick: bool,
     turn: TurnArrays,
     position: Float32,
     moved: Float32,
 ) -> bool:
     """Mark one cell if it is to be looked after, and whether one of its corners would come to harm then.
+
+    A cell of quick nodes is looked after where a corner would, whatever its volume.
 
     As of :func:`_find_corners`, of which the rows of a vector each are room.
     """
@@ -274,15 +307,19 @@ def _look_at_cell(
         n0, n1, n2, n3 = _NODES[corner, 0], _NODES[corner, 1], _NODES[corner, 2], _NODES[corner, 3]
         volumes[corner] = _volume(_edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3))
         is_flat = is_flat or volumes[corner] < volume_most
-    if near == 0 and not is_flat:
+    if near == 0 and not is_flat and not is_quick:
         return False
-    turn.watched[own] = np.int8(1) + near
+    does_harm = False
     for corner in range(8):
         n0, n1, n2, n3 = _NODES[corner, 0], _NODES[corner, 1], _NODES[corner, 2], _NODES[corner, 3]
         a, b, c = _edge(position, n0, n1), _edge(position, n0, n2), _edge(position, n0, n3)
         m0, m1, m2, m3 = _row(moved, n0), _row(moved, n1), _row(moved, n2), _row(moved, n3)
-        if _harms(volumes[corner], a, b, c, m0, m1, m2, m3):
-            raise_to(turn.harm, 0, np.int8(1))
+        does_harm = does_harm or _harms(volumes[corner], a, b, c, m0, m1, m2, m3)
+    if near == 0 and not is_flat and not does_harm:
+        return False
+    turn.watched[own] = np.int8(1) + near
+    if does_harm:
+        raise_to(turn.harm, 0, np.int8(1))
     return True
 
 
@@ -363,8 +400,8 @@ def look_at_cells(
     for share in range(thread, SHARES, thread_count):
         first, end = part_of(share, len(rows))
         for window in range(first, end):
-            is_due = looks_after_flat and is_flat[window] > 0
-            if has_probes and not is_due:
+            is_due, is_quick = looks_after_flat and is_flat[window] > 0, False
+            if has_probes and (looks_after_flat or not is_due):
                 low, high = touched_ends[window]
                 may_be = False
                 for near in turn.near_in[low // NEAR_WINDOWS : high // NEAR_WINDOWS + 1]:
@@ -373,6 +410,9 @@ def look_at_cells(
                     for touched in touches[window]:
                         if touched >= 0 and turn.is_near[touched]:
                             is_due = True
+                        if touched >= 0 and turn.is_quick[touched]:
+                            is_quick = looks_after_flat
+                is_due = is_due or is_quick
             if not is_due and not turn.is_watched[window]:
                 continue
             is_watched = False
@@ -383,7 +423,8 @@ def look_at_cells(
                 # Without stiffness there is no cell, or one that was cut.
                 if is_due and numbers[window, 0, number] > 0:
                     most = _volume_most(looks_after_flat)
-                    does = _look_at_cell(starts, place, now, later, most, has_probes, turn, position, moved)
+                    how = (most, has_probes, is_quick, turn, position, moved)
+                    does = _look_at_cell(starts, place, now, later, *how)
                     is_watched = is_watched or does
             turn.is_watched[window] = is_watched
             if is_watched:

@@ -27,7 +27,6 @@ _O, _ONE = np.float32(0.0), np.float32(1.0)
 _pushed_out = make_contact(cuda.jit(device=True))
 _math = make_turn_math(cuda.jit(device=True))
 _charges, _limit, _budget, _harms = _math.charges, _math.limit, _math.budget, _math.harms
-_volume = _math.volume
 
 
 @cuda.jit(device=True)
@@ -91,14 +90,6 @@ def watch_cell(
     for corner in range(8):
         owner = max(owner, near[corner_node[_U(corner * count + cell)]])
         allowed[_U(corner * count + cell)] = _ONE
-    is_flat = False
-    for corner in range(8):
-        nodes = CORNER_NODES[corner]
-        p0 = _position(displacement, now, corner_lane, nodes[0], cell, count)
-        p1 = _position(displacement, now, corner_lane, nodes[1], cell, count)
-        p2 = _position(displacement, now, corner_lane, nodes[2], cell, count)
-        p3 = _position(displacement, now, corner_lane, nodes[3], cell, count)
-        is_flat = is_flat or _volume(_less(p1, p0), _less(p2, p0), _less(p3, p0)) < volume_most
     for corner in range(8):
         nodes = CORNER_NODES[corner]
         n0, n1, n2, n3 = nodes[0], nodes[1], nodes[2], nodes[3]
@@ -113,7 +104,7 @@ def watch_cell(
         a, b, c = _less(p1, p0), _less(p2, p0), _less(p3, p0)
         volume, c0, c1, c2, c3 = _charges(a, b, c, m0, m1, m2, m3)
         harms = _harms(volume, a, b, c, m0, m1, m2, m3)
-        if owner == 0 and volume >= volume_most and not (is_flat and harms):
+        if owner == 0 and volume >= volume_most and not (volume_most > _O and harms):
             continue
         if harms:
             flags[2 + step_number % 2] = 1

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from heartcase.schemas.arrays import Float32, Float64, Intp
-from heartcase.simulator.engine.shared.turning import allowed_parts, least_volumes
+from heartcase.simulator.engine.shared.turning import allowed_parts, comes_to_harm, least_volumes
 from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.lattice.moduli import LOOK_BELOW
 
@@ -90,7 +90,7 @@ def keep_outside(
     model
         The lattice.
     probes
-        Probes, shape (probe_count, PROBE_SIZE); where there are none, only corners below LOOK_BELOW are looked after.
+        Probes, shape (probe_count, PROBE_SIZE); where there are none, nothing is done.
     step_number
         Steps that this row of steps has taken before.
     step
@@ -195,6 +195,7 @@ def _parts(
     is_due = owner_of_cell > 0
     if volume_most:
         is_due |= least_volumes(displacement[corners]) < volume_most
+        is_due |= comes_to_harm(displacement[corners], (later - displacement)[corners])
     cells = np.flatnonzero(model.cell_is_whole & is_due)
     if not len(cells):
         return part, owner

@@ -14,8 +14,7 @@ of a volume above zero is turned.
 That also holds back what would not turn a corner if all went together: the more, the flatter it is. So nothing is held
 back in a step in which all movements in full would do none of the corners harm that are looked after (:func:`_harms`);
 then, too, none is turned. Looked after are corners of cells near a probe, and elsewhere those below LOOK_BELOW, and
-others of the same cell that would come to harm: in quick tissue they may be turned in one step. Of springs alone only
-while there is a probe.
+others that would come to harm: in quick tissue they may be turned in one step. All this only while there is a probe.
 
 Nodes that are led move as they are led: what they take is counted first. Where they turn a corner by themselves, and
 where one is inside out already, nothing is held back.
@@ -32,7 +31,17 @@ import numpy as np
 from heartcase.schemas.arrays import Bool, Float64
 from heartcase.schemas.bundle.lattice import CORNER_OFFSETS
 
-__all__ = ["CORNER_NODES", "FLOOR", "SHARE", "TINY", "TurnMath", "allowed_parts", "least_volumes", "make_turn_math"]
+__all__ = [
+    "CORNER_NODES",
+    "FLOOR",
+    "SHARE",
+    "TINY",
+    "TurnMath",
+    "allowed_parts",
+    "comes_to_harm",
+    "least_volumes",
+    "make_turn_math",
+]
 
 SHARE = 0.5
 """Part of a corner's volume above the floor that may be lost in one step."""
@@ -186,7 +195,7 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
     is_near
         Whether a cell's corners are looked after whatever their volume, shape (count,).
     volume_most
-        Volume below which those of the other cells are [cells].
+        Volume below which those of the other cells are, as are those that would come to harm [cells]; 0 for none.
 
     Returns
     -------
@@ -198,7 +207,6 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
     position = u + CORNER_OFFSETS
     harm = False
     part = np.ones(u.shape[:2])
-    is_flat = least_volumes(u) < volume_most
     for nodes in CORNER_NODES:
         at, way, free = position[:, nodes], moved[:, nodes], is_free[:, nodes].T
         volume = {which: _volume(at + way * np.array(which)[:, None]) for which in product((0, 1), repeat=4)}
@@ -213,7 +221,7 @@ def allowed_parts(u: Float64, moved: Float64, is_free: Bool, is_near: Bool, volu
         counts = ((charge > TINY) & free).sum(axis=0)
         left = start - (charge * ~free).sum(axis=0)
         harmed = _harms(start, volume[1, 1, 1, 1])
-        is_due = is_near | (start < volume_most) | (is_flat & harmed)
+        is_due = is_near | (start < volume_most) | (harmed & (volume_most > 0.0))
         harm |= bool((harmed & is_due).any())
         is_limited = is_due & (left > 0.0)
         each = SHARE * np.maximum(left - FLOOR, 0.0) / np.maximum(counts, 1)
@@ -228,6 +236,14 @@ def least_volumes(u: Float64) -> Float64:
     position = u + CORNER_OFFSETS
     least: Float64 = np.stack([_volume(position[:, nodes]) for nodes in CORNER_NODES]).min(axis=0)
     return least
+
+
+def comes_to_harm(u: Float64, moved: Float64) -> Bool:
+    """Whether a corner of each cell would come to harm, shape (count,); displacements and movements as above."""
+    position, harmed = u + CORNER_OFFSETS, np.zeros(len(u), np.bool_)
+    for nodes in CORNER_NODES:
+        harmed |= _harms(_volume(position[:, nodes]), _volume((position + moved)[:, nodes]))
+    return harmed
 
 
 def _harms(before: Float64, after: Float64) -> Bool:
