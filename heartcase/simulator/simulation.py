@@ -218,10 +218,10 @@ class Simulation(PatchedTissue, OperatedTissue):
             return
         duration = step_count * self.verlet.step
         before, verlet = self.state, self._paced
-        if self.probes and not all(probe.keeps_away(self.model, before, duration) for probe in self.probes):
-            # At longer steps elements that a probe holds pressed do not come to rest.
-            verlet = self.verlet
         taken_count = verlet.row(step_count).step_count
+        if taken_count < step_count and not all(one.keeps_away(self.model, before, duration) for one in self.probes):
+            # At longer steps elements that a probe holds pressed do not come to rest.
+            verlet, taken_count = self.verlet, step_count
         led = []
         for start, end in [grab.way(self._engine.forces, duration) for grab in self.grabs]:
             led.append((end, (end - start) / duration))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from heartcase.simulator.surface_splitting.gluing import join_sets
-from heartcase.simulator.surface_splitting.split_surface import _ONE_PLACE, _unit
+from heartcase.simulator.surface_splitting.hanging import _unit
+from heartcase.simulator.surface_splitting.split_surface import _ONE_PLACE
 
 
 def plain_directions(cuttable, split):

@@ -16,9 +16,9 @@ from heartcase.simulator.mesh_arrangement.sheet_mesh import NO_SHEETS, merged_me
 from heartcase.simulator.mesh_arrangement.surface_crossings import is_inside
 from heartcase.simulator.surface.deform import gather_springs, triangle_basis, ways_of_nodes
 from heartcase.simulator.surface_splitting.gluing import number_parts
+from heartcase.simulator.surface_splitting.hanging import _gathered
 from heartcase.simulator.surface_splitting.hanging_kernels import hang_on
 from heartcase.simulator.surface_splitting.lips_and_walls import split_mesh
-from heartcase.simulator.surface_splitting.split_surface import _gathered
 from heartcase.simulator.surface_splitting.surface_binding import closest_weights
 from tests.simulator.surface_splitting.plain_arrangement import plain_arrangement, plain_mesh
 from tests.simulator.surface_splitting.surfaces import plane, sheets
