@@ -9,10 +9,12 @@ import pytest
 
 from heartcase import approve_case
 from heartcase.pipeline.bundle.write_bundle import write_bundle
+from heartcase.schemas.recording.commands import Cut
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.live.live import Live
 from heartcase.simulator.load import load_case
 from heartcase.simulator.session.operating_session import OperatingSession
+from heartcase.simulator.session.perform_tools import as_poses
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import deform
 from heartcase.studio.operating.scene.packing import Rounded, frame_message, topology_message
@@ -362,25 +364,34 @@ def test_what_was_taken_back_is_not_lost_when_time_goes_on(chromium, operated):
         assert hands.shows(operated.live) < TOLERANCE_MM
 
 
-def test_the_graphics_card_places_vertices_as_the_server_does(chromium, operated):
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_the_graphics_card_places_vertices_as_the_server_does(chromium, operated, is_cut):
     """Curved everywhere, oblique, on nodes that were moved at random: against the surface that Python works out."""
     case = load_case(operated.recipe, needs=("surface", "structures"), curvature="all")
     assert case.surface.curvature.any()
     random = np.random.default_rng(5)
-    live = Live(OperatingSession(Simulation(case.model, surface=case.surface)))
-    topology = topology_message(1, live.newest, np.full(len(case.surface.triangles), 9, np.int32))
+    session = OperatingSession(Simulation(case.model, surface=case.surface))
+    if is_cut:
+        low, high = case.surface.rest_mm.min(axis=0), case.surface.rest_mm.max(axis=0)
+        middle, size = (low + high) / 2, high - low
+        poses = middle + size * np.array([[[y, z, way] for z in (-1.0, 0.1)] for way, y in ((-1.0, 0.0), (0.1, 0.07))])
+        session.do(Cut(poses_mm=as_poses(poses), at_rest=True))
+    live = Live(session)
+    model, surface = live.newest.frame.model, live.newest.surface
+    assert (len(surface.in_cells.vertices) > 0) == is_cut
+    topology = topology_message(1, live.newest, np.full(len(surface.triangles), 9, np.int32))
     live.close()
     with browsing(chromium, operated) as page:
         hands = Hands(page)
         for size in (0.02, 0.2, 0.4):
-            nodes = random.normal(0.0, size, (case.model.node_count, 3)).astype(np.float32)
+            nodes = random.normal(0.0, size, (model.node_count, 3)).astype(np.float32)
             rounded = Rounded.of(nodes)
             frame = frame_message({"frame": 1}, rounded, None, {})
             messages = {
                 name: base64.b64encode(one).decode() for name, one in (("topology", topology), ("frame", frame))
             }
             vertex, places, normals = hands.read_back(**messages)
-            exact = deform(case.model, case.surface, rounded.steps.astype(np.float32) * np.float32(rounded.scale))
+            exact = deform(model, surface, rounded.steps.astype(np.float32) * np.float32(rounded.scale))
             # the same formula on the same displacements: float32 alone is between them
             assert np.abs(places - exact.vertices_mm[vertex]).max() < 1e-4
             assert np.abs(normals - exact.normals[vertex]).max() < 1e-4
