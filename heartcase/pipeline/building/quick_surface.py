@@ -1,7 +1,8 @@
 """The surface of a recipe as it is now, coarse and quick: with its walls, vessel ends and edits, before it is built.
 
 The same functions as in a build make it, on labels of which only some voxels are taken; so a hole, a patch or a thicker
-wall is seen where the build will put it, to about a voxel of the coarse lattice.
+wall is seen where the build will put it, to about a voxel of the coarse lattice. What is too thin for that lattice is
+made thicker, so that it stays in one piece and has no holes: walls to some 0.6 of its voxels, lumens by up to a voxel.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ import re
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from heartcase.pipeline.building.thin_lumens import thin_lumens
 from heartcase.pipeline.data import UNMARKED, Segmentation, Structures
 from heartcase.pipeline.edits.apply_edits import apply_edits
 from heartcase.pipeline.fields.reader import ownership_at_points
@@ -31,6 +34,7 @@ __all__ = [
     "FIRST_SHARE",
     "VOXELS",
     "QuickSurface",
+    "Thinned",
     "quick_surface",
     "room_around",
     "thinned_lattice",
@@ -47,6 +51,9 @@ POINTS = 500_000
 """Points of the lattice that the surface is extracted on."""
 FIRST_SHARE = 0.2
 """Of voxels and points, for a first look."""
+LAYER_SPACINGS = 1.05
+"""Thickness of the thinnest wall, over how far those points are apart: from 1 on, an edge between two of them cannot
+step over a flat wall, and they may be up to 4% further apart along an axis than on average."""
 MARGIN_MM = 6.0
 """Room around the labels beside the thickest wall."""
 _LINE = re.compile(r"^(ends|edits)\[(\d+)\]")
@@ -73,14 +80,23 @@ class QuickSurface:
     """What is wrong with ends or edits; these are not in the surface then."""
 
 
+class Thinned(NamedTuple):
+    """Labels on a lattice that may be coarser than the scan's."""
+
+    segmentation: Segmentation
+    """The labels."""
+    is_thin: Bool | None = None
+    """Which of its voxels are of thin lumens, of the labels' shape: the smoothing leaves them their label."""
+
+
 def quick_surface(
-    segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke] = (), *, is_coarse: bool = False
+    given: Segmentation | Thinned, recipe: Recipe, strokes: Sequence[Stroke] = (), *, is_coarse: bool = False
 ) -> QuickSurface:
     """Make the surface, coarsely.
 
     Parameters
     ----------
-    segmentation
+    given
         Labels as they are now; voxels without a label count as background.
     recipe
         Walls, ends and edits.
@@ -95,10 +111,12 @@ def quick_surface(
         Nothing is segmented, or there is no tissue.
     """
     table = recipe.table
-    near = _cropped(replace(segmentation, table=table), recipe)
+    whole = given if isinstance(given, Thinned) else Thinned(given)
+    near = _cropped(whole._replace(segmentation=replace(whole.segmentation, table=table)), recipe)
     share = FIRST_SHARE if is_coarse else 1.0
-    coarse, is_thinned = _thinned(near, share)
-    tries = [coarse, near] if is_thinned and not is_coarse and near.labels.size <= MOST_VOXELS else [coarse]
+    coarse = _thinned(near, share)
+    has_all_too = coarse is not near and not is_coarse and near.segmentation.labels.size <= MOST_VOXELS
+    tries = [coarse, near] if has_all_too else [coarse]
     problems: tuple[Problem, ...] = ()
     wrong: frozenset[_Line] = frozenset()
     # Without what is wrong, so that the rest is seen; problems of all parts are told.
@@ -151,22 +169,47 @@ def _as_in_recipe(problem: Problem, ends: Sequence[int]) -> Problem:
 
 
 def _made(
-    segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke], problems: tuple[Problem, ...], share: float
+    thinned: Thinned, recipe: Recipe, strokes: Sequence[Stroke], problems: tuple[Problem, ...], share: float
 ) -> QuickSurface:
     """The surface of these labels: of few in one thread, as strokes and pictures need the cores too."""
+    segmentation = thinned.segmentation
     is_little = segmentation.labels.size <= MOST_IN_ONE_THREAD
     with in_one_thread() if is_little else nullcontext():
-        return _surface(_structures(segmentation, recipe, strokes), segmentation, problems, share)
+        return _surface(_structures(thinned, recipe, strokes, share), segmentation, problems, share)
 
 
-def _structures(segmentation: Segmentation, recipe: Recipe, strokes: Sequence[Stroke]) -> Structures:
+def _structures(thinned: Thinned, recipe: Recipe, strokes: Sequence[Stroke], share: float) -> Structures:
     walls = recipe.walls_to_grow
     painted = (*recipe.strokes, *strokes)
     places = (
         open_places(painted, recipe.landmarks, recipe.table, recipe.walls.contact) if walls.septa == "grown" else ()
     )
-    grown = grow_walls(segmentation, walls, recipe.ends, open_places=places, is_measured=False)
-    return apply_edits(grown, recipe.edits)
+    grown = grow_walls(
+        thinned.segmentation, walls, recipe.ends, open_places=places, is_measured=False, kept=thinned.is_thin
+    )
+    return apply_edits(_thickened(grown, share), recipe.edits)
+
+
+def _thickened(structures: Structures, share: float) -> Structures:
+    """Walls and septa as thick at least as the points of the surface are apart: a thinner one would have holes."""
+    geometry = structures.geometry
+    volume_mm3 = float(np.prod(geometry.size)) * geometry.voxel_volume_mm3
+    least_mm = LAYER_SPACINGS * float(np.cbrt(volume_mm3 / (share * POINTS)))
+    thinnest_mm = structures.thinnest_layer_mm
+    if thinnest_mm is None or thinnest_mm >= least_mm:
+        return structures
+    labels = tuple(
+        label.model_copy(update={"wall_thickness_mm": max(label.wall_thickness_mm, least_mm)})
+        if label.wall_thickness_mm > 0.0
+        else label
+        for label in structures.table
+    )
+    tables = tuple(
+        one._replace(thickness_mm=tuple(max(mm, least_mm) if mm > 0.0 else 0.0 for mm in one.thickness_mm))
+        for one in structures.thickness_tables
+    )
+    septa = tuple(one._replace(thickness_mm=max(one.thickness_mm, least_mm)) for one in structures.septa)
+    return replace(structures, table=LabelTable(labels=labels), thickness_tables=tables, septa=septa)
 
 
 def _surface(
@@ -183,8 +226,9 @@ def _surface(
     )
 
 
-def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
+def _cropped(whole: Thinned, recipe: Recipe) -> Thinned:
     """The part around the labels and all that the recipe places."""
+    segmentation = whole.segmentation
     geometry, labels = segmentation.geometry, segmentation.labels
     # in one pass over the scan: labels but the background's, which is 0, and none
     is_labelled: Bool = labels - np.uint8(1) < np.uint8(UNMARKED - 1)
@@ -196,10 +240,12 @@ def _cropped(segmentation: Segmentation, recipe: Recipe) -> Segmentation:
     there.insert(0, np.flatnonzero(is_labelled[slices, along].any(axis=(0, 1))))
     corners = np.array([[one[0], one[-1]] for one in there], dtype=float).T
     low, high = room_around(corners, geometry, recipe)
-    part = labels[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
+    box = slice(low[2], high[2]), slice(low[1], high[1]), slice(low[0], high[0])
+    part = labels[box]
     part = np.where(part == UNMARKED, np.uint8(BACKGROUND), part)
     i, j, k = (int(one) for one in low)
-    return replace(segmentation, labels=part, geometry=geometry.cropped((i, j, k), part.shape[::-1]))
+    near = replace(segmentation, labels=part, geometry=geometry.cropped((i, j, k), part.shape[::-1]))
+    return Thinned(near, None if whole.is_thin is None else whole.is_thin[box])
 
 
 def room_around(corners: Float64, geometry: Geometry, recipe: Recipe) -> tuple[Int64, Int64]:
@@ -255,17 +301,21 @@ def thinned_lattice(geometry: Geometry, first: Int64, steps: Int64, size: tuple[
     )
 
 
-def _thinned(segmentation: Segmentation, share: float) -> tuple[Segmentation, bool]:
-    """Every second voxel or fewer, about as far apart along all axes; and whether any are left out."""
+def _thinned(whole: Thinned, share: float) -> Thinned:
+    """Every second voxel or fewer, about as far apart along all axes, and thin lumens; as it is where all are taken."""
+    segmentation = whole.segmentation
     geometry = segmentation.geometry
     steps = thinning_steps(np.array(geometry.size), np.array(geometry.spacing_mm), share * VOXELS)
     if (steps == 1).all():
-        return segmentation, False
+        return whole
     first = steps // 2
     i, j, k = (slice(int(start), None, int(step)) for start, step in zip(first, steps, strict=True))
     labels = np.ascontiguousarray(segmentation.labels[k, j, i])
+    labels, is_thin = thin_lumens(segmentation.labels, labels, steps, first, segmentation.table)
+    if whole.is_thin is not None:
+        is_thin |= whole.is_thin[k, j, i] & (labels == segmentation.labels[k, j, i])
     coarse = thinned_lattice(geometry, first, steps, labels.shape[::-1])
-    return replace(segmentation, labels=labels, geometry=coarse), True
+    return Thinned(replace(segmentation, labels=labels, geometry=coarse), is_thin)
 
 
 def _palette(table: LabelTable) -> UInt8:

@@ -68,6 +68,7 @@ def label_distances(
     band_mm: float,
     blood_values: Sequence[int] = (),
     tissue_values: Sequence[int] = (),
+    kept: Bool | None = None,
 ) -> dict[int, Float32]:
     """Signed distance to the smooth border of every label that is there.
 
@@ -87,6 +88,8 @@ def label_distances(
     tissue_values
         Values of tissue. Where two labels of blood, or two of tissue, touch, the border that both have to the rest
         is smoothed as if they were one.
+    kept
+        Voxels beside those that keep their label however thin it is there, of the labels' shape.
 
     Returns
     -------
@@ -104,7 +107,10 @@ def label_distances(
     group_mm, inner_mm = _first_order(labels, values, boxes, group, spacing, smoothing_mm)
     width = float(spacing.mean())
     owner = divide(group_mm, inner_mm, group)
-    given_back = bridging_voxels(labels, np.array(values, np.uint8)[owner], blood_values)
+    smoothed = np.array(values, np.uint8)[owner]
+    given_back = bridging_voxels(labels, smoothed, blood_values)
+    if kept is not None:
+        given_back |= kept & (labels != smoothed)
     if given_back.any():
         for number, value in enumerate(values):
             mine = given_back & (labels == value)

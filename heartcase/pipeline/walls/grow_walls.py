@@ -32,7 +32,7 @@ from heartcase.pipeline.walls.septa import (
 )
 from heartcase.pipeline.warning_words import sentence
 from heartcase.pipeline.warnings import CaseWarning, anatomy
-from heartcase.schemas.arrays import UInt8
+from heartcase.schemas.arrays import Bool, UInt8
 from heartcase.schemas.errors import Problem, StageError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable
@@ -53,6 +53,7 @@ def grow_walls(
     *,
     open_places: Sequence[OpenPlace] = (),
     is_measured: bool = True,
+    kept: Bool | None = None,
 ) -> Structures:
     """Make the structures of a segmentation: smooth distance fields, walls around the cavities, open vessel ends.
 
@@ -74,6 +75,8 @@ def grow_walls(
         Where a septum is open, from :func:`heartcase.pipeline.walls.septa.open_places`.
     is_measured
         Whether figures and warnings are worked out; the structures are the same.
+    kept
+        Voxels that the smoothing leaves their label, shape ``segmentation.labels.shape``.
 
     Returns
     -------
@@ -101,6 +104,7 @@ def grow_walls(
         band_mm=chosen.band_mm,
         blood_values=table.blood_values,
         tissue_values=table.tissue_values,
+        kept=None if kept is None else kept & (labels == segmentation.labels),
     )
     if BACKGROUND not in distances:
         far = float(np.linalg.norm(spacing * np.array(geometry.size)))

@@ -49,7 +49,9 @@ def test_it_has_the_labels_of_the_session_and_all_that_is_painted(everything_is_
     session, plain = session_on_a_ball(puts_off=True), session_on_a_ball(puts_off=False)
     assert session.put_off_tiles.any()
     with patch.multiple(module, SEARCHED=searched, VOXELS=voxels):
-        found = first_look(session, parse_recipe(TEXT, needs_markers=False))
+        found, is_thin = first_look(session, parse_recipe(TEXT, needs_markers=False))
+    # of which lumens are thin nothing is known
+    assert is_thin is None
     # nothing else was worked out
     assert session.put_off_tiles.any()
     k, j, i = np.indices(found.labels.shape).reshape(3, -1)
@@ -78,8 +80,35 @@ def test_its_surface_lies_where_that_of_all_labels_does(everything_is_put_off):
 def test_a_small_structure_between_the_voxels_that_are_looked_at_is_found(everything_is_put_off):
     session = session_on_a_ball(puts_off=True)
     with patch.object(module, "SEARCHED", 1):
-        found = first_look(session, parse_recipe(TEXT, needs_markers=False))
+        found, _ = first_look(session, parse_recipe(TEXT, needs_markers=False))
     assert (found.labels == TABLE["left atrium"].value).any()
+
+
+def test_a_thin_vessel_is_in_it_where_nothing_is_put_off():
+    size = 96
+    geometry = Geometry.of(shape=(size,) * 3, spacing_mm=(1.0,) * 3)
+    values = np.zeros(geometry.shape, np.float32)
+    values[20:76, 47:49, 47:49] = 300.0
+    values += np.random.default_rng(0).normal(0.0, 1.0, values.shape).astype(np.float32)
+    session = SegmentationSession.of_scan(Scan(values, geometry, "MR"), TABLE)
+    for label, points in (("background", [[2.0, 2.0, 2.0]]), ("aorta", [[47.5, 47.5, 22.0], [47.5, 47.5, 74.0]])):
+        session.paint(Stroke(label=label, radius_mm=0.8, points_mm=points))
+    recipe = parse_recipe(TEXT, needs_markers=False)
+    there = session.segmentation().labels == TABLE["aorta"].value
+    assert 4 * 50 < there.sum() < 4 * 60
+    tiles = np.zeros((3, 3, 3), np.bool_)
+    tiles[0] = True
+    settings = {"VOXELS": 2_000, "SEARCHED": 10**9}
+    with patch.multiple(module, **settings), patch.object(SegmentationSession, "put_off_tiles", tiles):
+        found, is_thin = first_look(session, recipe)
+    assert is_thin is not None
+    assert min(found.geometry.spacing_mm) > 2.0
+    # of the last two thirds every coarse voxel that the vessel passes through, of the first those that were hit
+    index = found.geometry.world_to_index(geometry.index_to_world(np.argwhere(there)[:, ::-1]))
+    at = np.floor(index + 0.5001).astype(int)[:, ::-1]
+    is_later = np.argwhere(there)[:, 0] >= 32 + 4
+    assert (found.labels[tuple(at[is_later].T)] == TABLE["aorta"].value).all()
+    assert is_thin[tuple(at[is_later].T)].all()
 
 
 def test_nothing_marked_is_told():

@@ -45,8 +45,8 @@ def two_balls(size=96, spacing=0.75):
     return Segmentation(labels, geometry, TABLE)
 
 
-def shells(surface):
-    """Connected parts of a surface: their Euler characteristics, the largest part first."""
+def parts(surface):
+    """Triangles of each connected part of a surface, the largest part first."""
     count = len(surface.vertices_mm)
     part = np.arange(count)
     for _ in range(count):
@@ -56,12 +56,19 @@ def shells(surface):
         part = part[part]
         if (part == before).all():
             break
-    found = []
-    for name in np.unique(part[surface.triangles[:, 0]]):
-        triangles = surface.triangles[part[surface.triangles[:, 0]] == name]
-        edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-        found.append((len(triangles), len(np.unique(triangles)) - len(edges) + len(triangles)))
-    return [euler for _, euler in sorted(found, reverse=True)]
+    names = part[surface.triangles[:, 0]]
+    return sorted((surface.triangles[names == name] for name in np.unique(names)), key=len, reverse=True)
+
+
+def euler(triangles):
+    """Euler characteristic of a closed surface: 2 for each part of it, less 2 for each handle."""
+    edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    return len(np.unique(triangles)) - len(edges) + len(triangles)
+
+
+def shells(surface):
+    """Euler characteristics of the connected parts of a surface, the largest part first."""
+    return [euler(triangles) for triangles in parts(surface)]
 
 
 def test_walls_are_as_thick_as_they_are_stated_on_every_other_voxel():

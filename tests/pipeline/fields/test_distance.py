@@ -210,3 +210,16 @@ def test_redistancing_of_random_levels_is_that_of_a_fine_mesh(seed, spacing):
     assert error.mean() < 0.02
     assert np.percentile(error, 99) < 0.08
     assert (np.sign(found[near]) == np.sign(field[near])).all()
+
+
+def test_voxels_that_are_kept_hold_a_vessel_that_the_blur_takes_away():
+    labels = np.zeros((24, 30, 30), np.uint8)
+    labels[4:20, 15, 15] = 1
+    how = {"smoothing_mm": 0.8, "band_mm": 4.0}
+    assert list(label_distances(labels, (1.0, 1.0, 1.0), **how)) == [0]
+    fields = label_distances(labels, (1.0, 1.0, 1.0), kept=labels == 1, **how)
+    # the field between them is interpolated: it stays within the vessel
+    assert (fields[1][labels == 1] < 0.0).all()
+    assert not (fields[1][labels == 0] < 0.0).any()
+    plain = label_distances(labels, (1.0, 1.0, 1.0), kept=np.zeros(labels.shape, np.bool_), **how)
+    assert list(plain) == [0]

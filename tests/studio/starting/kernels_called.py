@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from unittest.mock import patch
 
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.simulator.haptics.loop import LoopNumbers
@@ -55,6 +56,9 @@ def _paint(path: Path, middle: list[float]) -> None:
         talker.ask(do="propose", about="vessel", position_mm=middle)
         talker.ask(do="propose", about="septum", position_mm=middle)
         talker.ask(do="preview")
+        # of larger scans not all voxels are taken
+        with patch("heartcase.pipeline.building.quick_surface.VOXELS", 50):
+            talker.ask(do="preview")
 
 
 def operate(folder: Path) -> None:
