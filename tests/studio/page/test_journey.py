@@ -113,7 +113,8 @@ class Journey:
             return tab.evaluate(f"async () => {OPEN}.header")
 
         def wait(check):
-            until(lambda: check(header()), 90.0)
+            # No frame has come yet where there is no header.
+            until(lambda: (now := header()) is not None and check(now), 90.0)
             return header()
 
         box = tab.locator("#scene").bounding_box()
