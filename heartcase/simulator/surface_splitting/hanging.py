@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.arrays import Bool, Float32, Float64, Int64
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32, Int64
 from heartcase.simulator.cutting.parted_lattice import PartedLattice
-from heartcase.simulator.lattice.model import DIRECTIONS
+from heartcase.simulator.lattice.model import DIRECTIONS, LatticeModel
 from heartcase.simulator.surface.cell_vertices import CellVertices
 from heartcase.simulator.surface.cpu_kernels import move_at_rest
 from heartcase.simulator.surface.deform import (
@@ -100,7 +100,7 @@ def hung_surface(
         before,
         triangles=split.triangles,
         normals_of=normals_of,
-        in_cells=_in_cells(cuttable, parted, split, ties, arrays, at_rest, new_normals),
+        in_cells=_in_cells(cuttable, parted, split, ties, arrays["edges"], new_normals),
         **arrays,
         **_drawn(before, arrays["normal"][new]),
     )
@@ -114,20 +114,35 @@ def _in_cells(
     parted: PartedLattice,
     split: SplitMesh,
     ties: Ties,
-    arrays: dict[str, Any],
-    at_rest: Float32,
+    edges_now: Float32,
     new_normals: Float64,
 ) -> CellVertices:
     """New vertices, and those that follow other nodes than before, in their cells."""
     rows = np.concatenate([ties.changed, np.arange(split.old_count, split.vertex_count)])
     basis = np.zeros((0, 3, 3))
     if len(cuttable.surface.render_to_welded):
-        edges = arrays["edges"][rows].astype(np.float64)
-        basis, bent = triangle_basis(edges), np.flatnonzero(arrays["curvature"][rows])
-        normals = at_rest[arrays["normal_number"][rows[bent]]]
-        basis[bent] = interpolated_basis(edges[bent], arrays["weights"][rows[bent]], normals)[0]
+        # Tangents are kept along the basis that a vertex had before it was tied anew.
+        before, bent = cuttable.surface, np.flatnonzero(cuttable.surface.curvature[ties.changed])
+        edges = np.concatenate([before.edges[ties.changed], edges_now[split.old_count :]]).astype(np.float64)
+        basis, vertices = triangle_basis(edges), ties.changed[bent]
+        normals = cuttable.rest_normals[before.normal_number[vertices]]
+        basis[bent] = interpolated_basis(edges[bent], before.weights[vertices], normals)[0]
     normal = np.concatenate([cuttable.normals[ties.changed], new_normals])
-    return CellVertices.of(parted.model, rows, ties.cells, split.places_of(rows), normal, basis)
+    places = split.places_of(rows)
+    return CellVertices.of(parted.model, rows, _nearer(parted.model, ties, places), places, normal, basis)
+
+
+def _nearer(model: LatticeModel, ties: Ties, places: Float64) -> Int32:
+    """The cell that each vertex follows: that which it lies in, where it hangs together with that which it is tied to.
+
+    The nearer it is, the less of what a cell does has to be carried on beyond it.
+    """
+    beyond = [places - np.clip(places, model.cells[cells], model.cells[cells] + 1) for cells in (ties.cells, ties.own)]
+    tied, own = (np.einsum("nx,nx->n", one, one) for one in beyond)
+    corners = model.cell_corners
+    is_joined = (corners[ties.cells][:, :, None] == corners[ties.own][:, None]).any(axis=(1, 2))
+    found: Int32 = np.where(is_joined & (own < tied), ties.own, ties.cells)
+    return found
 
 
 def _node_normals(

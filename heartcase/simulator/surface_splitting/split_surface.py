@@ -68,8 +68,8 @@ class SplitSurface:
     triangle_part: Int32
     """Number of what each triangle hangs together with, shape (triangle_count,)."""
     vertex_cells: Int32
-    """Cell of the cut lattice whose corners a vertex follows, where it is new or follows other nodes than before; else
-    -1, shape (vertex_count,)."""
+    """Cell of the cut lattice whose corners a vertex is tied to, where it is new or follows other nodes than before;
+    else -1, shape (vertex_count,)."""
     on_triangle: Int32
     """Triangle of the uncut surface on which each new vertex of a lip lies, else -1, shape (vertex_count,)."""
     on_weights: Float32

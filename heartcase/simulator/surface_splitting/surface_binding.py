@@ -4,7 +4,8 @@ A vertex that was there keeps its three nodes: copies of these that the tissue h
 sheets. Where all of that tissue is beyond a sheet it is tied anew. A new vertex of a lip follows the nodes of a corner
 of the triangle that it lies on, if both lips can; else, as all other new ones, a face of its own cell. What a vertex
 belongs to is asked of a point a little inside the tissue behind it. Both, and those of which a node has a copy, move
-with all corners of that cell (:mod:`heartcase.simulator.surface.cell_vertices`); the nodes say of which side they are.
+with all corners of a cell (:mod:`heartcase.simulator.surface.cell_vertices`): the one that they lie in, where it has a
+node of that which they are tied to, else that; the nodes say of which side they are.
 """
 
 from __future__ import annotations
@@ -130,6 +131,8 @@ class Ties:
     """Nodes of the cut lattice of these, and of all new vertices, shape (changed_count + new_count, 3)."""
     cells: Int32
     """Cell of the cut lattice whose corners these nodes are, shape (changed_count + new_count,)."""
+    own: Int32
+    """Cell that each lies in, or that of its tissue that is nearest, shape (changed_count + new_count,)."""
 
 
 def tie_cells(model: LatticeModel, triangle_nodes: Int32) -> Int64:
@@ -325,12 +328,14 @@ def tie_split(
     nodes[lost] = _half_faces(parted, own, split.uncut_places[near[lost]])
     is_changed = lost | (nodes != triangle_nodes[near]).any(axis=1)
     changed = near[is_changed]
+    own_of_changed = sight.of(points[is_changed], np.full(len(changed), -1))
 
     # New vertices: those that are one, once.
     main = np.flatnonzero(split.new_weld == np.arange(old_count, count))
     places = split.new_places[main]
     points = places - _INSIDE * outward[1][main]
     main_cells = sight.of(points, np.full(len(points), -1))
+    main_own = main_cells.copy()
     main_nodes = np.full((len(main), 3), -1, np.int32)
     place = number_rows(np.round(places * _PLACES).astype(np.int64))
     on = split.new_on_triangle[main]
@@ -355,6 +360,7 @@ def tie_split(
         lost[is_changed],
         np.concatenate([nodes[is_changed], main_nodes[at]]).astype(np.int32),
         np.concatenate([seen[is_changed], main_cells[at]]).astype(np.int32),
+        np.concatenate([own_of_changed, main_own[at]]).astype(np.int32),
     )
     ties = _with_their_parts(parted, split, triangle_nodes, ties)
     # Tied anew to copies of the nodes that it had, a vertex keeps its place among them.
@@ -424,11 +430,11 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
     added = wrong[at_row[wrong] < 0]
     changed = np.sort(np.concatenate([ties.changed, added]))
     is_anew = np.isin(changed, ties.changed[ties.is_tied_anew]) | np.isin(changed, wrong)
-    all_nodes, all_cells = np.zeros((count, 3), np.int32), np.zeros(count, np.int32)
-    all_nodes[rows], all_cells[rows] = ties.nodes, ties.cells
-    all_nodes[wrong], all_cells[wrong] = halves, cells
+    all_nodes, all_cells = np.zeros((count, 3), np.int32), np.zeros((count, 2), np.int32)
+    all_nodes[rows], all_cells[rows] = ties.nodes, np.stack([ties.cells, ties.own], axis=1)
+    all_nodes[wrong], all_cells[wrong] = halves, cells[:, None]
     rows = np.concatenate([changed, np.arange(old_count, count)])
-    return Ties(changed, is_anew, all_nodes[rows], all_cells[rows])
+    return Ties(changed, is_anew, all_nodes[rows], *np.ascontiguousarray(all_cells[rows].T))
 
 
 def _corners_by_reach(model: LatticeModel, split: SplitMesh, triangle_nodes: Int32, vertices: Int64) -> Int64:
