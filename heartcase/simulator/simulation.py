@@ -422,7 +422,8 @@ class Simulation(PatchedTissue, OperatedTissue):
         if self.pace == 1.0:
             return self.verlet
         along = 0.0 if self.cuts is None else self.cuts.rate_along
-        return replace(self.verlet, pace=min(self.pace, pace_at(max(along, self._tied_rate), self.verlet.step)))
+        pace = pace_at(max(along, self._tied_rate), self.verlet.step, self.model.law)
+        return replace(self.verlet, pace=min(self.pace, pace))
 
     def _place(self, grab: Grab, displacement: Float64, velocity: Float64) -> None:
         self._engine.prescribe(grab.nodes, displacement.astype(np.float32), velocity.astype(np.float32))

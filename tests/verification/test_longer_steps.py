@@ -246,3 +246,24 @@ def test_what_swings_up_is_noticed_at_any_pace():
     simulation.restore(State(random_field(model, 1, 0.01), random_field(model, 2, 0.01)))
     with pytest.raises(SimulationError, match=r"by itself|not a number"):
         simulation.step(200)
+
+
+@pytest.mark.parametrize("seed", [11, 23, 30, 43])
+def test_what_is_let_go_without_damping_does_not_swing_up(seed):
+    """Nearly incompressible blocks that broke down in steps of 0.8 of their own limit: energy had more than doubled."""
+    rng = np.random.default_rng(seed)
+    model = block(*rng.integers([4, 2, 2], [12, 5, 5]), fix_base=True, law=ForceLaw("element", 0.45))
+    simulation = Simulation(model, damping_per_s=0.0)
+    assert simulation.pace > 1.2
+    last = model.rest_positions_mm()[np.flatnonzero(~model.node_is_fixed)[-1]]
+    hand = simulation.grab(last, float(rng.uniform(1.2, 2.5)) * model.cell_mm)
+    way = rng.normal(size=3)
+    way *= rng.uniform(2, 6) * model.cell_mm / np.linalg.norm(way)
+    for part in range(20):
+        simulation.lead(hand, way * (part + 1) / 20)
+        simulation.step(40)
+    before = simulation.energy()
+    simulation.release(hand)
+    simulation.step(3000)
+    after = simulation.energy()
+    assert after.elastic_j + after.kinetic_j < 1.5 * (before.elastic_j + before.kinetic_j)
