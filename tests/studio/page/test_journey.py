@@ -106,7 +106,8 @@ class Journey:
     def operate(self):
         """Pulled, cut, looked at from elsewhere, taken back, and replayed as it was recorded."""
         tab, page = self.tab, self.page
-        tab.locator("#operate").click()
+        with tab.expect_navigation():
+            tab.locator("#operate").click()
         page.ready()
 
         def header():
