@@ -393,6 +393,7 @@ def _keep_from_turning(
         cells.numbers,
         cells.touches,
         touched_ends,
+        cells.in_pairs,
         cells.is_flat,
         looks_after_flat,
         len(probes) > 0,

@@ -21,6 +21,7 @@ from heartcase.compiling.kernel import kernel
 from heartcase.schemas.arrays import Float32, Float64, Int8, Int32, Int64
 from heartcase.simulator.dynamics.integrate import WAY_LIMIT
 from heartcase.simulator.engine.cpu.barrier import raise_to
+from heartcase.simulator.engine.cpu.cells import is_flat_window
 from heartcase.simulator.engine.cpu.chunks import SHARES, part_of
 from heartcase.simulator.engine.cpu.ghosts import GhostArrays
 from heartcase.simulator.engine.cpu.room import untouched
@@ -52,9 +53,9 @@ FAR_STEPS = 64
 axis, and a probe need at least to come near each other."""
 
 
-QUICK = 0.02
-"""Way in a step from which on the cells around a node are looked at [cells]. Edges change by twice that at most: slower
-nodes turn no corner of LOOK_BELOW in one step, unless its edges are longer than two cells."""
+QUICK = 0.1
+"""Way in a step from which on the cells around a node are looked at [cells]. A slower node takes at most 0.3 L^2 of the
+volume of a corner whose edges are L long: none of LOOK_BELOW is turned by it, unless they are 1.4 cells long."""
 
 
 class TurnArrays(NamedTuple):
@@ -389,6 +390,7 @@ def look_at_cells(
     numbers: Float32,
     touches: Int64,
     touched_ends: Int32,
+    in_pairs: Int8,
     is_flat: Int8,
     looks_after_flat: bool,
     has_probes: bool,
@@ -412,6 +414,8 @@ def look_at_cells(
                             is_due = True
                         if touched >= 0 and turn.is_quick[touched]:
                             is_quick = looks_after_flat
+                # Harm leaves a corner below LOOK_BELOW.
+                is_quick = is_quick and is_flat_window(later, numbers, rows, window, in_pairs[window]) > 0
                 is_due = is_due or is_quick
             if not is_due and not turn.is_watched[window]:
                 continue
