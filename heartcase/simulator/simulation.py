@@ -219,11 +219,16 @@ class Simulation(PatchedTissue, OperatedTissue):
         duration = step_count * self.verlet.step
         before, verlet = self.state, self._paced
         taken_count = verlet.row(step_count).step_count
-        if taken_count < step_count and not all(one.keeps_away(self.model, before, duration) for one in self.probes):
-            # At longer steps elements that a probe holds pressed do not come to rest.
-            verlet, taken_count = self.verlet, step_count
+        ways = [grab.way(self._engine.forces, duration) for grab in self.grabs]
+        if taken_count < step_count and self.probes:
+            farthest = max(
+                (float(np.linalg.norm(end - start, axis=1).max(initial=0.0)) for start, end in ways), default=0.0
+            )
+            if not all(probe.keeps_away(self.model, before, duration, farthest) for probe in self.probes):
+                # At longer steps elements that a probe holds pressed do not come to rest.
+                verlet, taken_count = self.verlet, step_count
         led = []
-        for start, end in [grab.way(self._engine.forces, duration) for grab in self.grabs]:
+        for start, end in ways:
             led.append((end, (end - start) / duration))
             self._place(self.grabs[len(led) - 1], start, led[-1][1])
         is_drawn = self._is_drawn

@@ -150,6 +150,20 @@ def test_a_probe_that_touches_nothing_leaves_the_longer_steps(away, is_as_long):
     assert (ends[1] == ends[2]) == (not is_as_long)
 
 
+def test_a_hand_that_is_led_to_a_probe_has_steps_as_they_are():
+    """It rests before, and nothing of it is quick."""
+    model = block(7, 4, 3, fix_base=True, law=ELEMENT)
+    at, ends, h = model.rest_positions_mm(), [], model.cell_mm
+    for pace, far in ((None, 12.0), (1.0, 12.0), (None, 40.0)):
+        simulation = Simulation(model, damping_per_s=30.0, pace=pace)
+        hand = simulation.grab(at[-1], 1.2 * h)
+        simulation.probe(at[-1] + np.array([0.0, 0.0, far * h]), h)
+        simulation.lead(hand, (0.0, 0.0, 10.0 * h))
+        simulation.step(400)
+        ends.append(simulation.state.displacement.tobytes())
+    assert ends[0] == ends[1] != ends[2]
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_a_probe_that_keeps_away_touches_nothing_on_its_way(seed):
     rng = np.random.default_rng(seed)

@@ -49,7 +49,7 @@ class Probe:
             self.centre, (self.target - self.centre) / step_count, self.semi_axes, self.turn, self.half_axis
         )
 
-    def keeps_away(self, model: LatticeModel, state: State, duration: float) -> bool:
+    def keeps_away(self, model: LatticeModel, state: State, duration: float, led: float = 0.0) -> bool:
         """Whether it touches nothing on the way to its target, if no node gets faster than the fastest is by much.
 
         Parameters
@@ -60,9 +60,11 @@ class Probe:
             How its nodes lie and go.
         duration
             How long it takes to get there [unit of time].
+        led
+            How far hands lead a node meanwhile, at most [cells].
         """
         reach = AWAY + self.semi_axes.max() + np.linalg.norm(self.half_axis)
-        reach += duration * float(np.abs(state.velocity).max(initial=0.0)) * np.sqrt(3.0)
+        reach += max(led, duration * float(np.abs(state.velocity).max(initial=0.0)) * np.sqrt(3.0))
         way = (self.target - self.centre).astype(np.float32)
         to_nodes = model.node_index + state.displacement - self.centre.astype(np.float32)
         length = max(float(way @ way), 1e-12)

@@ -180,8 +180,10 @@ def test_it_is_looked_at_cut_open_and_played(chromium, recorded):
     tab.wait_for_selector("#time-bar:not([hidden])")
     # the button says what it does
     icon = "() => document.querySelector('#play use').getAttribute('href')"
-    moment, last = (int(tab.locator("#time").evaluate(f"(one) => one.{name}")) for name in ("value", "max"))
-    assert tab.evaluate(icon) == ("#icon-pause" if moment < last else "#icon-go")
+    # at one moment: it plays on
+    shown = "() => { const { value, max } = document.querySelector('#time'); return [Number(value), Number(max)]; }"
+    (moment, last), now = tab.evaluate(f"() => [({shown})(), ({icon})()]")
+    assert now == ("#icon-pause" if moment < last else "#icon-go")
     cut, stitch = tab.locator("#time-marks span").all()
     assert [one.get_attribute("class") for one in (cut, stitch)] == ["cut", "stitch"]
     cut.click()
