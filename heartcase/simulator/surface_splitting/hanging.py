@@ -133,15 +133,16 @@ def _in_cells(
 
 
 def _nearer(model: LatticeModel, ties: Ties, places: Float64) -> Int32:
-    """The cell that each vertex follows: that which it lies in, where it hangs together with that which it is tied to.
+    """The cell that each vertex follows: that which it lies in, where it is of the side that it is tied to.
 
-    The nearer it is, the less of what a cell does has to be carried on beyond it.
+    So it is where the vertex sees both, and where they have a node in common. The nearer a cell is, the less of what it
+    does has to be carried on beyond it.
     """
     beyond = [places - np.clip(places, model.cells[cells], model.cells[cells] + 1) for cells in (ties.cells, ties.own)]
     tied, own = (np.einsum("nx,nx->n", one, one) for one in beyond)
     corners = model.cell_corners
     is_joined = (corners[ties.cells][:, :, None] == corners[ties.own][:, None]).any(axis=(1, 2))
-    found: Int32 = np.where(is_joined & (own < tied), ties.own, ties.cells)
+    found: Int32 = np.where((is_joined | ties.sees_own) & (own < tied), ties.own, ties.cells)
     return found
 
 

@@ -315,7 +315,7 @@ def see_pieces(points, bits, codes, pairs, lattice, tissue, sheets, known, table
     codes, pairs
         Of each point, which of these pairs of cells it looks for, shape (pair_count, 2): the nearest that it sees, or
         cell -1. At -1 it looks for its own cell or one around it, of which the first that it sees is taken, and the
-        nearest if it sees none.
+        nearest if it sees none: then the piece is -1.
     lattice
         Cells by their index.
     tissue, sheets
@@ -357,7 +357,7 @@ def see_pieces(points, bits, codes, pairs, lattice, tissue, sheets, known, table
         if own >= 0 and pieces[n] >= 0:
             cells[n] = own
             continue
-        pieces[n] = 0
+        pieces[n] = -1
         count = _around(points[n], lattice, found, away)
         for at in range(1 if own >= 0 else 0, count):
             piece, _ = _see_cell(points[n], found[at], tissue, sheets, np.inf, reach, place, distances, order)

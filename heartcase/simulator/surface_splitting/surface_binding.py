@@ -5,7 +5,7 @@ sheets. Where all of that tissue is beyond a sheet it is tied anew. A new vertex
 of the triangle that it lies on, if both lips can; else, as all other new ones, a face of its own cell. What a vertex
 belongs to is asked of a point a little inside the tissue behind it. Both, and those of which a node has a copy, move
 with all corners of a cell (:mod:`heartcase.simulator.surface.cell_vertices`): the one that they lie in, where it has a
-node of that which they are tied to, else that; the nodes say of which side they are.
+node of that which they are tied to or they see it, else that; the nodes say of which side they are.
 """
 
 from __future__ import annotations
@@ -133,6 +133,8 @@ class Ties:
     """Cell of the cut lattice whose corners these nodes are, shape (changed_count + new_count,)."""
     own: Int32
     """Cell that each lies in, or that of its tissue that is nearest, shape (changed_count + new_count,)."""
+    sees_own: Bool
+    """Whether it sees that past the sheets, shape (changed_count + new_count,)."""
 
 
 def tie_cells(model: LatticeModel, triangle_nodes: Int32) -> Int64:
@@ -253,10 +255,17 @@ class _Sight:
         mark_changes(mesh.vertices, mesh.triangles, mesh.sheet, before.sheet_count, was, now, *self._changes)
 
     def of(self, points: Float64, codes: Int64) -> Int64:
-        """Cell of the cut lattice that each point sees of the two that a vertex is tied to, or -1, shape (count,).
+        """Cell of the cut lattice that each point sees of the two that a vertex is tied to, or -1, shape (count,)."""
+        return self._looked(points, codes)[0]
 
-        With code -1 that which it belongs to: its own, or one around it; the nearest of these if it sees none.
+    def own(self, points: Float64) -> tuple[Int64, Bool]:
+        """Cell of the cut lattice that each point belongs to: its own, or one around it, shape (count,).
+
+        The nearest of these if it sees none; second whether it sees it.
         """
+        return self._looked(points, np.full(len(points), -1))
+
+    def _looked(self, points: Float64, codes: Int64) -> tuple[Int64, Bool]:
         bits = points.view(np.int64)
         cells, pieces = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
         see_pieces(
@@ -275,11 +284,12 @@ class _Sight:
         )
         self._asked.append(Answers(bits, codes, cells, pieces))
         rows = self._tissue.rows[cells]
+        is_seen, pieces = pieces >= 0, np.maximum(pieces, 0)
         number = self._pieces.first[rows] + pieces if len(self._pieces.cells) else pieces
         # The first piece keeps the number of its cell; the others follow all cells.
         later = self._model.cell_count + number - (rows + 1)
         found: Int64 = np.where((cells >= 0) & (pieces > 0), later, cells)
-        return found
+        return found, is_seen
 
     @property
     def seen(self) -> Seen:
@@ -323,19 +333,19 @@ def tie_split(
     seen = sight.of(points, near)
     lost = seen < 0
     nodes = _corners_of(parted, np.where(lost, 0, seen), triangle_nodes[near])
-    own = sight.of(points[lost], np.full(lost.sum(), -1))
+    own, _ = sight.own(points[lost])
     seen[lost] = own
     nodes[lost] = _half_faces(parted, own, split.uncut_places[near[lost]])
     is_changed = lost | (nodes != triangle_nodes[near]).any(axis=1)
     changed = near[is_changed]
-    own_of_changed = sight.of(points[is_changed], np.full(len(changed), -1))
+    own_of_changed = sight.own(points[is_changed])
 
     # New vertices: those that are one, once.
     main = np.flatnonzero(split.new_weld == np.arange(old_count, count))
     places = split.new_places[main]
     points = places - _INSIDE * outward[1][main]
-    main_cells = sight.of(points, np.full(len(points), -1))
-    main_own = main_cells.copy()
+    main_own = sight.own(points)
+    main_cells = main_own[0].copy()
     main_nodes = np.full((len(main), 3), -1, np.int32)
     place = number_rows(np.round(places * _PLACES).astype(np.int64))
     on = split.new_on_triangle[main]
@@ -360,7 +370,8 @@ def tie_split(
         lost[is_changed],
         np.concatenate([nodes[is_changed], main_nodes[at]]).astype(np.int32),
         np.concatenate([seen[is_changed], main_cells[at]]).astype(np.int32),
-        np.concatenate([own_of_changed, main_own[at]]).astype(np.int32),
+        np.concatenate([own_of_changed[0], main_own[0][at]]).astype(np.int32),
+        np.concatenate([own_of_changed[1], main_own[1][at]]),
     )
     ties = _with_their_parts(parted, split, triangle_nodes, ties)
     # Tied anew to copies of the nodes that it had, a vertex keeps its place among them.
@@ -433,8 +444,11 @@ def _with_their_parts(parted: PartedLattice, split: SplitMesh, triangle_nodes: I
     all_nodes, all_cells = np.zeros((count, 3), np.int32), np.zeros((count, 2), np.int32)
     all_nodes[rows], all_cells[rows] = ties.nodes, np.stack([ties.cells, ties.own], axis=1)
     all_nodes[wrong], all_cells[wrong] = halves, cells[:, None]
+    sees_own = np.zeros(count, np.bool_)
+    sees_own[rows] = ties.sees_own
     rows = np.concatenate([changed, np.arange(old_count, count)])
-    return Ties(changed, is_anew, all_nodes[rows], *np.ascontiguousarray(all_cells[rows].T))
+    tied, own = np.ascontiguousarray(all_cells[rows].T)
+    return Ties(changed, is_anew, all_nodes[rows], tied, own, sees_own[rows])
 
 
 def _corners_by_reach(model: LatticeModel, split: SplitMesh, triangle_nodes: Int32, vertices: Int64) -> Int64:
