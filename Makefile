@@ -93,7 +93,7 @@ $(VENV)-plain/installed: requirements-plain.lock pyproject.toml | same-python
 # Tests of the kernels that the adult phantom's case does not use.
 BESIDE = tests/pipeline/test_stage_versions.py tests/pipeline/formats/test_stl_parts.py tests/pipeline/markers/test_markers.py \
   tests/pipeline/watershed/test_forest.py tests/pipeline/fields/test_wall_thickness.py tests/pipeline/edits/test_shapes.py \
-  tests/pipeline/mesh/test_decimate.py tests/pipeline/mesh/test_normal_map.py
+  tests/pipeline/mesh/test_decimate.py tests/pipeline/mesh/test_normal_map.py tests/pipeline/building/test_thin_lumens.py
 
 # With an empty cache of numba's: all is compiled here and now. Other packages round some figures otherwise, and bring
 # warnings of their own: then bytes may differ, but not where the nodes are.
