@@ -80,6 +80,11 @@ SENTENCES: Mapping[str, str] = {
         "with ventricles of this volume; check that the labels of the two meet at the valve and that neither has "
         "taken a part of the other, or that this is the malformation"
     ),
+    "valve-closed": (
+        "the {one} is open to no ventricle, so no blood passes between them: the nearest, the {other}, is {gap#} mm "
+        "away near {place} mm; check that the labels of the two meet at the valve, and paint them up to each other "
+        "there, or that this is the malformation (atresia)"
+    ),
     "opening-too-large": (
         "{one} and {other} are open to each other over {area#} mm²[ in {patches#} patches, the largest] near "
         "{place} mm, at {by}[, which asks for {asked#} mm²]: the wall around the defect may be missing as well"

@@ -20,6 +20,7 @@ from heartcase.pipeline.bundle.write_bundle import (
     assemble_bundle,
     resolve_materials,
 )
+from heartcase.pipeline.checks.closed_valves import closed_valve_warnings
 from heartcase.pipeline.checks.openings import (
     Opening,
     find_openings,
@@ -240,7 +241,8 @@ def assemble_case(recipe: Recipe, results: StageResults, *, name: str, case_id: 
         septa, of_septa = judged_places(grown, openings, recipe.walls.contact, structures.table, voxel_mm)
         of_said = said_warnings(grown, openings, recipe.walls, structures.table, voxel_mm, recipe.edits)
         of_walls = adult_wall_warnings(labels, [one.label for one in recipe.walls.thickness])
-        told["openings"] = (*of_said, *opening_warnings(openings), *of_walls)
+        closed = closed_valve_warnings(labels, openings)
+        told["openings"] = (*of_said, *opening_warnings(openings), *closed, *of_walls)
         # the walls stage did not know of edits, nor of what a person said
         others = with_edit_names(structures.warnings, recipe.edits)
         told["structures"] = [
