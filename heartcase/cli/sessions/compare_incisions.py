@@ -102,7 +102,7 @@ def command(
         if path is not None:
             require_folder(path)
     with working("reading the cases"):
-        needs: tuple[Need, ...] = ("surface", "colours", "tissue")
+        needs: tuple[Need, ...] = ("surface", "colours", "tissue", "cell_labels")
         loaded = [with_law(load_case(one, needs=needs), law, poissons_ratio) for one in cases]
     planned = _planned(loaded, plans)
     wanted = _Wanted(pictures, animations, surfaces, recordings, page_out is not None, backend, sleep_mm)

@@ -37,7 +37,12 @@ class CaseResult:
     @property
     def ranked(self) -> dict[str, tuple[RankedPlan, ...]]:
         """Plans for each defect, the best first."""
-        return ranked_by_defect(tuple(self.held), nearest_least_mm=self.on.plans.nearest_least_mm)
+        plans = self.on.plans
+        return ranked_by_defect(
+            tuple(self.held),
+            nearest_least_mm=plans.nearest_least_mm,
+            inverted_cells_most=plans.inverted_cells_most,
+        )
 
     @property
     def remarks(self) -> list[str]:
@@ -45,7 +50,10 @@ class CaseResult:
         words = [f"Not run to its end: {problem}" for problem in self.problems]
         for one in self.held:
             if one.inverted_cell_count:
-                words.append(f"{one.inverted_cell_count:,} cells are inside out at the end of {one.plan.name}.")
+                cells = "1 cell is" if one.inverted_cell_count == 1 else f"{one.inverted_cell_count:,} cells are"
+                words.append(
+                    f"{cells} inside out at the end of {one.plan.name}: its largest stretch and stress mean nothing."
+                )
             words += [
                 f"{one.plan.name}: on the surface {part:.0%} of the rim of {defect} was found."
                 for defect, part in one.rim_found.items()
@@ -137,6 +145,7 @@ def page(results: Sequence[CaseResult]) -> str:
 _COLUMNS = (
     "case", "defect", "way", "place", "rim seen, closed", "rim seen", "best eye", "solid angle [msr]",
     "freedom [mm³]", "reach [mm³]", "gap [mm]", "force [N]", "stretch", "stress [kPa]", "nearest artery [mm]",
+    "cut [mm²]", "cells inside out",
 )  # fmt: skip
 
 
@@ -164,6 +173,8 @@ def markdown(results: Sequence[CaseResult]) -> str:
                         _cell(one.stretch_high, ".2f"),
                         _cell(one.stress_high_kpa, ".1f"),
                         _cell(one.nearest_vessel_mm, ".1f"),
+                        _cell(one.cut_mm2, ",.0f"),
+                        f"{one.inverted_cell_count:,}",
                     )
                 )
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
@@ -175,7 +186,8 @@ def _placed(one: RankedPlan) -> str:
 
 def _score(one: RankedPlan) -> str:
     near = "; comes too near to a vessel" if one.is_too_near else ""
-    return f"{_placed(one)}: score {one.score:.2f}{near}"
+    inverted = "; leaves too many cells inside out" if one.is_inverted else ""
+    return f"{_placed(one)}: score {one.score:.2f}{near}{inverted}"
 
 
 def _cell(value: float | None, form: str) -> str:

@@ -162,6 +162,8 @@ class IncisionPlans(Model):
     """Time step, s; the case's default when left out."""
     nearest_least_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 2.0
     """Nearest that a plan may come to a vessel, mm; one that comes nearer is put behind all others."""
+    inverted_cells_most: Annotated[int, Field(ge=0)] = 2
+    """Most cells that a plan may leave inside out; one that leaves more is put behind all others."""
     view: LookingSettings = LookingSettings()
     """From where is looked."""
     shaft: ShaftSettings = ShaftSettings()

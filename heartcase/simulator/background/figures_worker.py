@@ -82,7 +82,7 @@ class _Question:
     model: LatticeModel | None
     displacement: Float32
     held: ShownHeart
-    """The surface now; without ``rest_mm`` and ``triangles`` where it is that of the question before."""
+    """The surface now; without what stays the same where it is that of the question before."""
     is_same_surface: bool
     unheld: ShownHeart | None
     keeps_unheld: bool
@@ -130,6 +130,7 @@ def _question(
     live: LiveFrame, whole: ShownHeart, landmarks: tuple[Landmark, ...], incision: int, *, reaches: bool
 ) -> _Question:
     frame = live.frame
+    is_cut_face = None if live.triangle_origin is None else live.triangle_origin < 0
     return _Question(
         step=frame.step,
         time_s=frame.time_s,
@@ -139,7 +140,7 @@ def _question(
         landmarks=landmarks,
         model=frame.model,
         displacement=frame.state.displacement,
-        held=Moment(frame.model, live.surface, frame.state.displacement).heart,
+        held=Moment(frame.model, live.surface, frame.state.displacement, is_cut_face).heart,
         is_same_surface=False,
         unheld=None if live.unheld is None else live.unheld.heart,
         keeps_unheld=False,
@@ -174,7 +175,13 @@ class _Reckoner:
         held = asked.held
         if asked.is_same_surface and self._held is not None:
             before = self._held
-            held = replace(held, rest_mm=before.rest_mm, triangles=before.triangles, known=before.carrier)
+            held = replace(
+                held,
+                rest_mm=before.rest_mm,
+                triangles=before.triangles,
+                is_cut_face=before.is_cut_face,
+                known=before.carrier,
+            )
         self._held = held
         if asked.cut is not None:
             cut = asked.cut
@@ -337,7 +344,7 @@ def _what_is_new(asked: _Question, before: _Question | None) -> _Question:
     is_same = asked.held.rest_mm is before.held.rest_mm
     held = asked.held
     if is_same:
-        held = replace(held, rest_mm=held.rest_mm[:0], triangles=held.triangles[:0])
+        held = replace(held, rest_mm=held.rest_mm[:0], triangles=held.triangles[:0], is_cut_face=None)
     return replace(
         asked,
         held=held,

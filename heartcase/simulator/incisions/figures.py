@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from math import isfinite
 
 from heartcase.schemas.errors import Problem, SimulationError
 from heartcase.simulator.incisions.stitch_limits import StitchFigures
 
-__all__ = ["CRITERIA", "Criterion", "IncisionFigures", "RankedPlan", "ranked", "table", "table_rows", "to_json"]
+__all__ = [
+    "CRITERIA",
+    "INVERTED_CELLS_MOST",
+    "Criterion",
+    "IncisionFigures",
+    "RankedPlan",
+    "ranked",
+    "table",
+    "table_rows",
+    "to_json",
+]
 
 
 @dataclass(frozen=True)
@@ -49,8 +59,14 @@ class IncisionFigures:
     """Principal stress that 99% of the tissue stay below, kPa."""
     stress_place_mm: tuple[float, float, float] | None = None
     """Where, LPS mm."""
+    inverted_cell_count: int = 0
+    """Cells that are inside out: with some, the largest stretch and stress mean nothing."""
     nearest_mm: dict[str, float] = field(default_factory=dict)
-    """Shortest distance to each coronary artery, or another structure, mm: name -> distance."""
+    """Shortest distance at rest of what was cut to each coronary artery, mm, below 0 inside it: name -> distance."""
+    cut_mm2: float | None = None
+    """Area at rest of all that was cut, one side of it, mm2."""
+    cut_structures_mm2: dict[str, float] = field(default_factory=dict)
+    """The same by what tissue it went through, the most first, where that is known: name -> area."""
     length_mm: float | None = None
     """Length of the incision, mm."""
     stitches: tuple[StitchFigures, ...] = ()
@@ -79,12 +95,16 @@ class Criterion:
     """Whether a larger figure is the better one."""
 
 
+INVERTED_CELLS_MOST = 2
+"""Cells that a plan may leave inside out without being put last: so few, beside a hand, do not reach what 99% of the
+tissue stay below."""
 CRITERIA: tuple[Criterion, ...] = (
-    Criterion("rim_seen", 3.0, True),
+    Criterion("rim_seen_best", 3.0, True),
+    Criterion("rim_seen", 1.0, True),
     Criterion("solid_angle_sr", 1.0, True),
     Criterion("freedom_mm3", 2.0, True),
     Criterion("retraction_n", 1.0, False),
-    Criterion("stretch", 1.0, False),
+    Criterion("stretch_high", 1.0, False),
     Criterion("nearest_vessel_mm", 2.0, True),
     Criterion("length_mm", 1.0, False),
 )
@@ -105,15 +125,21 @@ class RankedPlan:
     """What each criterion gives: 0 to the worst of the plans, 1 to the best, in between in proportion."""
     is_too_near: bool
     """Whether it comes nearer to a vessel than is allowed: such plans come last."""
+    is_inverted: bool
+    """Whether it leaves more cells inside out than are allowed: such plans come last, too."""
 
 
 def ranked(
-    plans: Sequence[IncisionFigures], criteria: Sequence[Criterion] = CRITERIA, *, nearest_least_mm: float = 2.0
+    plans: Sequence[IncisionFigures],
+    criteria: Sequence[Criterion] = CRITERIA,
+    *,
+    nearest_least_mm: float = 2.0,
+    inverted_cells_most: int = INVERTED_CELLS_MOST,
 ) -> tuple[RankedPlan, ...]:
     """Plans for one heart, the best first.
 
     A criterion counts where all plans have its figure, and where they differ in it. Plans that come too near to a
-    vessel are put behind all others, whatever their score.
+    vessel, or leave many cells inside out, are put behind all others, whatever their score.
 
     Parameters
     ----------
@@ -123,6 +149,8 @@ def ranked(
         What counts, and how much.
     nearest_least_mm
         Nearest that a plan may come to a vessel, mm.
+    inverted_cells_most
+        Most cells that a plan may leave inside out.
 
     Raises
     ------
@@ -147,13 +175,12 @@ def ranked(
         own = {name: values[number] for name, values in shares.items()}
         score = sum(weights[name] * share for name, share in own.items()) / total if total > 0.0 else 0.0
         nearest = plan.nearest_vessel_mm
-        entries.append((nearest is not None and nearest < nearest_least_mm, -score, plan.name, plan, own))
-    entries.sort(key=lambda entry: entry[:3])
-    order = [(entry[0], entry[1]) for entry in entries]
-    return tuple(
-        RankedPlan(order.index((too_near, minus)) + 1, plan, -minus if minus else 0.0, own, too_near)
-        for too_near, minus, _, plan, own in entries
-    )
+        is_too_near = nearest is not None and nearest < nearest_least_mm
+        is_inverted = plan.inverted_cell_count > inverted_cells_most
+        entries.append((is_too_near or is_inverted, -score, RankedPlan(0, plan, score, own, is_too_near, is_inverted)))
+    entries.sort(key=lambda entry: (*entry[:2], entry[2].figures.name))
+    order = [entry[:2] for entry in entries]
+    return tuple(replace(one, place=order.index((is_last, minus)) + 1) for is_last, minus, one in entries)
 
 
 def table(plans: Sequence[IncisionFigures]) -> str:
@@ -180,6 +207,11 @@ def table_rows(plans: Sequence[IncisionFigures]) -> list[tuple[str, ...]]:
     for name in sorted({name for plan in plans for name in plan.nearest_mm}):
         distances = [plan.nearest_mm.get(name) for plan in plans]
         rows.append((f"to {name} [mm]", *("-" if one is None else f"{one:.1f}" for one in distances)))
+    for name in dict.fromkeys(name for plan in plans for name in plan.cut_structures_mm2):
+        areas = [plan.cut_structures_mm2.get(name) for plan in plans]
+        rows.append((f"cut of {name} [mm2]", *("-" if one is None else f"{one:,.0f}" for one in areas)))
+    if any(plan.inverted_cell_count for plan in plans):
+        rows.append(("cells inside out", *(f"{plan.inverted_cell_count:,}" for plan in plans)))
     return rows
 
 
@@ -197,6 +229,7 @@ _ROWS = (
     ("freedom at the defect [mm3]", "freedom_mm3", ",.0f"),
     ("reach of the tip [mm3]", "reach_mm3", ",.0f"),
     ("length [mm]", "length_mm", ".1f"),
+    ("area of all cuts [mm2]", "cut_mm2", ",.0f"),
     ("gap between the lips [mm]", "gap_mm", ".1f"),
     ("retraction force [N]", "retraction_n", ".2f"),
     ("largest stretch [1]", "stretch", ".2f"),

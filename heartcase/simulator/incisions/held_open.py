@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Float64, Int32
+from heartcase.schemas.arrays import Bool, Float32, Float64, Int32
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.scripts.incision_plans import LookingSettings, ShaftSettings
+from heartcase.simulator.incisions.cut_tissue import CellTissues
 from heartcase.simulator.incisions.figures import IncisionFigures
 from heartcase.simulator.incisions.measure import IncisionPlan, Scene, measured_and_seen
 from heartcase.simulator.incisions.nearness import Carrier
@@ -37,11 +38,13 @@ class ShownHeart:
     """Their unit normals at that moment, shape (vertex_count, 3)."""
     triangles: Int32
     """Vertex numbers, shape (triangle_count, 3)."""
+    is_cut_face: Bool | None = None
+    """Which triangles are walls of cuts, shape (triangle_count,); None where nothing is cut."""
 
     @classmethod
-    def of(cls, surface: SurfaceModel, shown: DeformedSurface) -> ShownHeart:
+    def of(cls, surface: SurfaceModel, shown: DeformedSurface, is_cut_face: Bool | None = None) -> ShownHeart:
         """A surface, and where its vertices are."""
-        return cls(surface.rest_mm, shown.vertices_mm, shown.normals, surface.triangles)
+        return cls(surface.rest_mm, shown.vertices_mm, shown.normals, surface.triangles, is_cut_face)
 
     known: Carrier | None = field(default=None, repr=False, compare=False)
     """What carries points with the surface, where it is known from another moment."""
@@ -110,6 +113,7 @@ def seen_through(
     retraction_n: float | None = None,
     stitch_forces_n: Sequence[float] = (),
     reaches: bool = True,
+    tissues: CellTissues | None = None,
 ) -> tuple[dict[str, SeenThrough], Float64 | None]:
     """Figures of an incision for each defect, by its name; and both lips now, one closed curve, (count, 3).
 
@@ -133,6 +137,8 @@ def seen_through(
         From the defect to the surgeon, LPS axes; out through the opening's middle when left out.
     retraction_n, stitch_forces_n, reaches
         As of :func:`heartcase.simulator.incisions.measure.measured`.
+    tissues
+        What tissue fills the cells, where it is to be said what was cut.
 
     Raises
     ------
@@ -144,7 +150,18 @@ def seen_through(
         sides = held.lips(line, incision.whole_count)
         gap = float(np.linalg.norm(sides[0] - sides[1], axis=1).max())
         opening = np.concatenate([sides[0], sides[1][::-1]])
-    scene = Scene(model, displacement, held.rest_mm, held.now_mm, held.triangles, landmarks, opening, held.carrier)
+    scene = Scene(
+        model,
+        displacement,
+        held.rest_mm,
+        held.now_mm,
+        held.triangles,
+        landmarks,
+        opening_mm=opening,
+        known=held.carrier,
+        is_cut_face=held.is_cut_face,
+        tissues=tissues,
+    )
     through = incision.entry_mm if opening is None else opening.mean(axis=0)
     found = {}
     for rim in incision.rims or (None,):

@@ -9,11 +9,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Float, Float64, Int32
+from heartcase.schemas.arrays import Bool, Float, Float64, Int32
 from heartcase.schemas.landmarks import Landmark
+from heartcase.simulator.dynamics.measures import inverted_cells
+from heartcase.simulator.incisions.cut_tissue import CellTissues, area_by_tissue_mm2, area_mm2, cut_triangles
 from heartcase.simulator.incisions.directions import divided
 from heartcase.simulator.incisions.figures import IncisionFigures
-from heartcase.simulator.incisions.nearness import Carrier, to_vessels
+from heartcase.simulator.incisions.nearness import Carrier, as_triangles, to_vessels
 from heartcase.simulator.incisions.stitch_limits import beside_measured
 from heartcase.simulator.incisions.strain import Peak, Strain, cell_strain, peak
 from heartcase.simulator.incisions.surgical_freedom import Shaft, freedom_at_target_mm3, reach
@@ -64,6 +66,10 @@ class Scene:
 
     known: Carrier | None = None
     """What carries points with the surface, where it is known from another moment."""
+    is_cut_face: Bool | None = None
+    """Which triangles are walls of cuts, shape (triangle_count,); None where that is not known."""
+    tissues: CellTissues | None = None
+    """What tissue fills the cells, where it is to be said what was cut."""
 
     @cached_property
     def carrier(self) -> Carrier:
@@ -74,6 +80,12 @@ class Scene:
     def tree(self) -> TriangleTree:
         """The surface now, for what is seen and reached."""
         return triangle_tree(self.now_mm, self.triangles)
+
+    @cached_property
+    def cut_mm(self) -> Float64:
+        """Walls of all cuts at rest, mm, shape (count, 3, 3)."""
+        is_wall = np.zeros(len(self.triangles), np.bool_) if self.is_cut_face is None else self.is_cut_face
+        return cut_triangles(self.rest_mm, self.triangles, is_wall)
 
     @cached_property
     def strain(self) -> Strain:
@@ -133,7 +145,6 @@ def measured_and_seen(
         A curve is none, or a number is out of range.
     """
     tree, strain = scene.tree, scene.strain
-    curve = scene.carrier.carried(plan.curve_mm, scene.now_mm)
     seen, freedom, reached = None, None, None
     if plan.rim_mm is not None:
         rim = scene.carrier.carried(plan.rim_mm, scene.now_mm)
@@ -145,7 +156,9 @@ def measured_and_seen(
         peak(scene.model, scene.displacement, values[:, 0], strain.is_known)
         for values in (strain.stretches, strain.stress_kpa)
     )
-    vessels = to_vessels(_edge(scene, curve), scene.landmarks, scene.rest_mm, scene.now_mm, carrier=scene.carrier)
+    walls = scene.cut_mm
+    # What is not cut yet is as near as its line.
+    vessels = to_vessels(walls if len(walls) else as_triangles(plan.curve_mm), scene.landmarks)
     figures = IncisionFigures(
         name=plan.name,
         rim_seen=None if seen is None else seen.rim_seen,
@@ -160,18 +173,14 @@ def measured_and_seen(
         stress_kpa=stress.value,
         stress_high_kpa=stress.high,
         stress_place_mm=_place(stress),
+        inverted_cell_count=int(inverted_cells(scene.model, scene.displacement).sum()),
+        cut_mm2=area_mm2(walls) if len(walls) else None,
+        cut_structures_mm2={} if scene.tissues is None else area_by_tissue_mm2(walls, scene.tissues),
         nearest_mm={one.name: one.distance_mm for one in vessels},
         length_mm=_length_mm(plan.curve_mm),
         stitches=beside_measured(tuple(stitch_forces_n)),
     )
     return figures, seen
-
-
-def _edge(scene: Scene, curve: Float64) -> Float64:
-    """What must keep clear of vessels: both lips where they are known, else the incision's line as it was carried."""
-    if scene.opening_mm is None:
-        return curve
-    return np.concatenate([scene.opening_mm, scene.opening_mm[:1]])
 
 
 def _length_mm(curve_mm: npt.ArrayLike) -> float:

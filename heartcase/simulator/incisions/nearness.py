@@ -14,7 +14,7 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.incisions.directions import divided
 from heartcase.simulator.incisions.segments import nearest_triangles
 
-__all__ = ["Carrier", "Nearness", "carried", "to_structure", "to_vessel", "to_vessels"]
+__all__ = ["Carrier", "Nearness", "as_triangles", "carried", "to_structure", "to_vessel", "to_vessels"]
 
 _SPACING_MM = 1.0
 """Longest piece of a curve whose distance is worked out as one, mm: it says where; the distance itself is exact."""
@@ -22,14 +22,14 @@ _SPACING_MM = 1.0
 
 @dataclass(frozen=True)
 class Nearness:
-    """How near a curve comes to something."""
+    """How near a cut comes to something."""
 
     name: str
     """What."""
     distance_mm: float
     """Shortest distance, mm; below 0 as deep as it goes into a vessel."""
-    on_curve_mm: Float64
-    """About where on the curve: the middle of the nearest piece, mm, shape (3,)."""
+    place_mm: Float64
+    """About where, on the vessel's course or the curve: the middle of the nearest piece, mm, shape (3,)."""
 
 
 @dataclass(frozen=True)
@@ -75,55 +75,55 @@ def carried(points_mm: npt.ArrayLike, rest_mm: npt.ArrayLike, now_mm: npt.ArrayL
     return Carrier(rest).carried(points_mm, now)
 
 
-def to_vessel(curve_mm: npt.ArrayLike, course_mm: npt.ArrayLike, radius_mm: float, *, name: str) -> Nearness:
-    """How near an open curve comes to the outside of a vessel.
+def to_vessel(corners_mm: npt.ArrayLike, course_mm: npt.ArrayLike, radius_mm: float, *, name: str) -> Nearness:
+    """How near what is cut comes to the outside of a vessel.
 
     Parameters
     ----------
-    curve_mm
-        The incision, mm, shape (count, 3), at least two points.
+    corners_mm
+        Triangles, mm, shape (count, 3, 3), at least one: :func:`as_triangles` makes them of a line.
     course_mm
         The vessel's middle line, mm, shape (count, 3), at least two points.
     radius_mm
         Its radius, mm.
     name
         Its name.
+
+    Raises
+    ------
+    SimulationError
+        The middle line is none.
     """
-    course = np.asarray(course_mm, dtype=float)
-    # A segment is a triangle without an area.
-    segments = np.stack([course[:-1], course[1:], course[1:]], axis=1)
-    distance, place = _nearest(curve_mm, segments)
+    distance, place = _nearest(course_mm, np.asarray(corners_mm, dtype=float))
     return Nearness(name, distance - radius_mm, place)
 
 
-def to_vessels(
-    curve_mm: npt.ArrayLike,
-    landmarks: Sequence[Landmark],
-    rest_mm: npt.ArrayLike,
-    now_mm: npt.ArrayLike,
-    *,
-    carrier: Carrier | None = None,
-) -> tuple[Nearness, ...]:
-    """How near an open curve comes to each vessel among a case's landmarks, the nearest first.
+def to_vessels(corners_mm: npt.ArrayLike, landmarks: Sequence[Landmark]) -> tuple[Nearness, ...]:
+    """How near what is cut comes to each vessel among a case's landmarks at rest, the nearest first.
 
     Parameters
     ----------
-    curve_mm
-        The incision as it is now, mm, shape (count, 3).
+    corners_mm
+        Triangles at rest, mm, shape (count, 3, 3), at least one.
     landmarks
         Landmarks of the case: those that are vessels count, such as the coronary arteries.
-    rest_mm, now_mm
-        Vertices of the surface that carries them, at rest and now, mm, shape (vertex_count, 3).
-    carrier
-        The same surface, where it has carried points before.
     """
-    carrier = carrier or Carrier(np.asarray(rest_mm, dtype=float).reshape(-1, 3))
     found = [
-        to_vessel(curve_mm, carrier.carried(one.points_mm, now_mm), one.radius_mm or 0.0, name=one.name)
-        for one in landmarks
-        if one.is_vessel
+        to_vessel(corners_mm, one.points_mm, one.radius_mm or 0.0, name=one.name) for one in landmarks if one.is_vessel
     ]
     return tuple(sorted(found, key=lambda one: (one.distance_mm, one.name)))
+
+
+def as_triangles(curve_mm: npt.ArrayLike) -> Float64:
+    """An open curve as triangles without an area, mm, shape (count - 1, 3, 3).
+
+    Raises
+    ------
+    SimulationError
+        It is no curve.
+    """
+    curve = _checked(curve_mm)
+    return np.stack([curve[:-1], curve[1:], curve[1:]], axis=1)
 
 
 def to_structure(
@@ -157,9 +157,7 @@ def to_structure(
 
 
 def _nearest(curve_mm: npt.ArrayLike, corners: Float64) -> tuple[float, Float64]:
-    curve = np.asarray(curve_mm, dtype=float)
-    if curve.ndim != 2 or curve.shape[0] < 2 or curve.shape[1] != 3 or not np.isfinite(curve).all():
-        raise SimulationError("a curve must be at least two finite points", place="curve_mm")
+    curve = _checked(curve_mm)
     middles, lengths = divided(curve, _SPACING_MM, is_closed=False)
     along = np.repeat(np.diff(curve, axis=0), _pieces(curve), axis=0)
     size = np.linalg.norm(along, axis=1, keepdims=True)
@@ -167,6 +165,13 @@ def _nearest(curve_mm: npt.ArrayLike, corners: Float64) -> tuple[float, Float64]
     distance, _ = nearest_triangles(middles - half, middles + half, corners)
     nearest = int(np.argmin(distance))
     return float(distance[nearest]), middles[nearest]
+
+
+def _checked(curve_mm: npt.ArrayLike) -> Float64:
+    curve = np.asarray(curve_mm, dtype=float)
+    if curve.ndim != 2 or curve.shape[0] < 2 or curve.shape[1] != 3 or not np.isfinite(curve).all():
+        raise SimulationError("a curve must be at least two finite points", place="curve_mm")
+    return curve
 
 
 def _pieces(curve: Float64) -> Int64:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import get_args
 
-from heartcase.schemas.arrays import Float32
+from heartcase.schemas.arrays import Bool, Float32
 from heartcase.schemas.recording.commands import Act, Cut
 from heartcase.schemas.recording.suture_commands import PlacePatch, PlaceRow, PlaceStitch
 from heartcase.schemas.recording.tool_commands import Snip
@@ -35,11 +35,13 @@ class Moment:
     """The surface over it."""
     displacement: Float32
     """Displacement of the nodes [cells, grid axes], shape (node_count, 3)."""
+    is_cut_face: Bool | None = None
+    """Which triangles are walls of cuts, shape (triangle_count,); None where nothing is cut or it is not asked for."""
 
     @cached_property
     def heart(self) -> ShownHeart:
         """The surface then."""
-        return ShownHeart.of(self.surface, deform(self.model, self.surface, self.displacement))
+        return ShownHeart.of(self.surface, deform(self.model, self.surface, self.displacement), self.is_cut_face)
 
 
 class CutsDone:

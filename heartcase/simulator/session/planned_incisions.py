@@ -17,6 +17,7 @@ from heartcase.schemas.recording.commands import Mark
 from heartcase.schemas.scripts.incision_plans import IncisionPlans, PlannedIncision
 from heartcase.schemas.scripts.script import CutAction, SimulationScript
 from heartcase.schemas.scripts.toml_text import checked_toml, text_of
+from heartcase.simulator.incisions.cut_tissue import CellTissues
 from heartcase.simulator.incisions.figures import CRITERIA, IncisionFigures, RankedPlan, ranked
 from heartcase.simulator.incisions.held_open import Incision, ShownHeart, seen_through
 from heartcase.simulator.incisions.planned import (
@@ -178,7 +179,7 @@ def run_plan(
     on
         All of them, on the case.
     case
-        The case, loaded with its surface and tissue.
+        The case, loaded with its surface and tissue; with the labels of its cells it is said what was cut.
     session
         A new session on it, whose history then holds what was done; its moments are marked ``closed``, ``cut`` and
         ``held open``.
@@ -238,7 +239,8 @@ def run_plan(
 
 def _shown(simulation: Simulation) -> ShownHeart:
     assert simulation.surface is not None
-    return ShownHeart.of(simulation.surface, simulation.surface_now())
+    is_cut_face = None if simulation.split is None else simulation.split.triangle_is_cut_face
+    return ShownHeart.of(simulation.surface, simulation.surface_now(), is_cut_face)
 
 
 def _measured(
@@ -267,7 +269,9 @@ def _measured(
         looking=on.plans.view,
         shaft=on.plans.shaft,
         looks_from=plan.looks_from,
-        retraction_n=max(forces.values(), default=None),
+        # What nobody holds takes no force.
+        retraction_n=max(forces.values(), default=0.0),
+        tissues=_tissues(case),
     )
     return HeldOpen(
         plan=plan,
@@ -283,7 +287,17 @@ def _measured(
     )
 
 
-def ranked_by_defect(held: tuple[HeldOpen, ...], *, nearest_least_mm: float) -> dict[str, tuple[RankedPlan, ...]]:
+def _tissues(case: Case) -> CellTissues | None:
+    """What fills the cells of a case, where its labels were loaded."""
+    if case.cell_labels is None:
+        return None
+    names = {one.value: one.name for one in case.manifest.labels}
+    return CellTissues(case.model.geometry, case.model.cells, case.cell_labels, names)
+
+
+def ranked_by_defect(
+    held: tuple[HeldOpen, ...], *, nearest_least_mm: float, inverted_cells_most: int
+) -> dict[str, tuple[RankedPlan, ...]]:
     """The plans of a case in the order of their worth, for each defect.
 
     Parameters
@@ -292,10 +306,17 @@ def ranked_by_defect(held: tuple[HeldOpen, ...], *, nearest_least_mm: float) -> 
         Each plan as it was run on the same case.
     nearest_least_mm
         Nearest that a plan may come to a vessel, mm.
+    inverted_cells_most
+        Most cells that a plan may leave inside out.
     """
-    names = list(held[0].figures) if held else []
     return {
-        name: ranked([one.figures[name] for one in held], CRITERIA, nearest_least_mm=nearest_least_mm) for name in names
+        name: ranked(
+            [one.figures[name] for one in held],
+            CRITERIA,
+            nearest_least_mm=nearest_least_mm,
+            inverted_cells_most=inverted_cells_most,
+        )
+        for name in (held[0].figures if held else ())
     }
 
 

@@ -30,6 +30,8 @@ NEAREST_LEAST_MM = 2.0
 REACHES = True
 """Whether the reach of the tip is worked out, which takes most of the time."""
 _ENDED = "what works out figures has ended: compare again"
+_LAST = ("is_too_near", "is_inverted")
+"""Why a plan is put behind all others."""
 _NICE = 10
 
 Found = LiveFigures | tuple[Problem, ...]
@@ -145,7 +147,7 @@ def _ranked(plans: dict[str, Any]) -> list[dict[str, Any]]:
     except SimulationError:
         return []
     return [
-        {"name": one.figures.name, "place": one.place, "score": one.score, "is_too_near": one.is_too_near}
+        {"name": one.figures.name, "place": one.place, "score": one.score} | {key: getattr(one, key) for key in _LAST}
         for one in order
     ]
 

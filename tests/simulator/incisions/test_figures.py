@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,32 +11,41 @@ import pytest
 from heartcase.schemas.errors import SimulationError
 from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.incisions.figures import CRITERIA, Criterion, IncisionFigures, ranked, table, to_json
-from heartcase.simulator.incisions.nearness import carried, to_structure, to_vessel, to_vessels
+from heartcase.simulator.incisions.nearness import as_triangles, carried, to_structure, to_vessel, to_vessels
 from heartcase.simulator.incisions.stitch_limits import MEASURED, beside_measured
 from tests.simulator.incisions.scenes import circle, plate
 
 
 def test_the_distance_of_skew_lines_less_the_vessels_radius():
-    found = to_vessel([[-30.0, 0, 0], [40, 0, 0]], [[3.3, -50, 7], [3.3, 20, 7]], 1.5, name="artery")
+    found = to_vessel(as_triangles([[-30.0, 0, 0], [40, 0, 0]]), [[3.3, -50, 7], [3.3, 20, 7]], 1.5, name="artery")
     assert found.distance_mm == pytest.approx(5.5)
-    assert abs(found.on_curve_mm[0] - 3.3) <= 0.5
+    assert abs(found.place_mm[0] - 3.3) <= 1e-9
+    assert abs(found.place_mm[1]) <= 0.5
     assert to_vessel(
-        [[0.0, 0, 0], [1, 0, 0]], [[0, -1, 1], [0, 1, 1]], 1.5, name="artery"
+        as_triangles([[0.0, 0, 0], [1, 0, 0]]), [[0, -1, 1], [0, 1, 1]], 1.5, name="artery"
     ).distance_mm == pytest.approx(-0.5)
 
 
-def test_vessels_are_carried_by_the_surface_and_the_nearest_comes_first():
-    rest, _ = plate(5.0, outer=60.0)
-    now = rest + np.array([0.0, 0.0, 4.0])
+def test_vessels_are_measured_from_all_of_a_cut_and_the_nearest_comes_first():
     vessels = [
         Landmark(name="far", kind="polyline", points_mm=((55.0, -5, 0), (55, 5, 0)), radius_mm=2.0),
         Landmark(name="near", kind="polyline", points_mm=((9.0, -5, 0), (9, 5, 0)), radius_mm=1.0),
         Landmark(name="an incision", kind="polyline", points_mm=((0.0, 0, 0), (1, 0, 0)), depth_mm=3.0),
         Landmark(name="apex", kind="point", points_mm=((0.0, 0, 0),)),
     ]
-    found = to_vessels([[0.0, 0, 4], [5, 0, 4]], vessels, rest, now)
+    deep = [[[0.0, 0, 0], [5, 0, 0], [5, 0, -6]], [[0, 0, 0], [5, 0, -6], [0, 0, -6]]]
+    found = to_vessels(deep, vessels)
     assert [one.name for one in found] == ["near", "far"]
     assert found[0].distance_mm == pytest.approx(3.0)
+    # A blade that passes an artery deep in the wall is near it, however far its line on the outside is.
+    below = Landmark(name="below", kind="polyline", points_mm=((2.5, 3, -6), (2.5, 9, -6)), radius_mm=1.0)
+    assert to_vessels(deep, [below])[0].distance_mm == pytest.approx(2.0)
+    assert to_vessels(as_triangles([[0.0, 0, 0], [5, 0, 0]]), [below])[0].distance_mm == pytest.approx(45**0.5 - 1.0)
+
+
+def test_points_are_carried_by_the_surface():
+    rest, _ = plate(5.0, outer=60.0)
+    now = rest + np.array([0.0, 0.0, 4.0])
     np.testing.assert_allclose(carried([[1.0, 2, 3]], rest, now), [[1, 2, 7]])
 
 
@@ -105,6 +115,27 @@ def test_plans_are_ranked_by_the_stated_weights_and_those_too_near_come_last():
     assert found[0].shares["rim_seen"] == pytest.approx(0.5 / 0.6)
     assert "solid_angle_sr" not in found[0].shares
     assert ranked(plans(), nearest_least_mm=0.0)[0].figures.name == "ventriculotomy"
+
+
+def test_plans_that_leave_cells_inside_out_come_last_and_say_so():
+    poor, _, good = plans()
+    folded = replace(good, name="folded", rim_seen=1.0, inverted_cell_count=3)
+    found = ranked((folded, poor, good))
+    assert [(one.figures.name, one.is_inverted) for one in found] == [
+        ("right atriotomy", False), ("pulmonary root", False), ("folded", True),
+    ]  # fmt: skip
+    assert ranked((folded, poor, good), inverted_cells_most=3)[0].figures.name == "folded"
+    rows = [line.split() for line in table([one.figures for one in found]).splitlines()]
+    assert ["cells", "inside", "out", "0", "0", "3"] in rows
+
+
+def test_what_the_best_eye_sees_counts_more_than_what_all_eyes_see_together():
+    names = ("from one place", "from many")
+    one, many = (
+        IncisionFigures(name, rim_seen=seen, rim_seen_best=best)
+        for name, seen, best in zip(names, (0.8, 1.0), (0.8, 0.3), strict=True)
+    )
+    assert [plan.figures.name for plan in ranked((one, many))] == list(names)
 
 
 def test_plans_that_do_not_differ_share_a_place():

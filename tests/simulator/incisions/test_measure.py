@@ -51,7 +51,9 @@ def test_all_figures_of_an_incision():
     assert found.freedom_mm3 == pytest.approx(cone_sr(np.arctan(0.5)) * 80.0**3 / 3, rel=0.02)
     assert found.stretch == pytest.approx(1.2)
     assert found.stress_kpa > 0.0
+    # Nothing is cut in the plate: its line is as near as a cut along it would be.
     assert found.nearest_mm == {"artery": pytest.approx(18.0)}
+    assert (found.cut_mm2, found.inverted_cell_count) == (None, 0)
     assert found.length_mm == pytest.approx(20.0)
     assert found.retraction_n == 1.5
     assert [one.force_n for one in found.stitches] == [0.5, 1.0]

@@ -13,7 +13,7 @@ const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 /** Figures of the incision, whatever is seen through it: name, digits behind the point, unit, by how much it is shown larger. */
 const OF_INCISION = /** @type {const} */ ([
   ["length_mm", 1, " mm", 1], ["gap_mm", 1, " mm", 1], ["retraction_n", 2, " N", 1], ["stretch_high", 2, "", 1], ["stretch", 2, "", 1],
-  ["stress_high_kpa", 1, " kPa", 1], ["stress_kpa", 1, " kPa", 1], ["worst_stitch", 2, "", 1], ["reach_mm3", 0, " mm³", 1],
+  ["stress_high_kpa", 1, " kPa", 1], ["stress_kpa", 1, " kPa", 1], ["worst_stitch", 2, "", 1], ["reach_mm3", 0, " mm³", 1], ["cut_mm2", 0, " mm²", 1],
 ]);
 /** Figures of a defect. */
 const OF_DEFECT = /** @type {const} */ ([

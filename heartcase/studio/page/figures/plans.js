@@ -133,7 +133,7 @@ export class Plans {
       const placed = new Map(ranked.map((/** @type {any} */ one) => [one.name, one]));
       if (names.length > 1 && placed.size > 0) {
         const cells = (/** @type {(one: any) => string} */ of) => names.map((/** @type {string} */ name) => (placed.has(name) ? of(placed.get(name)) : "–"));
-        lines.unshift([say("plans_place"), cells((one) => `${one.place}${one.is_too_near ? " !" : ""}`)]);
+        lines.unshift([say("plans_place"), cells((one) => `${one.place}${one.is_too_near ? " !" : ""}${one.is_inverted ? " !!" : ""}`)]);
         lines.push([say("plans_score"), cells((one) => (one.score === null ? "–" : figure(one.score, 2)))]);
       }
       parts.push(table(defect, names.map(shown), lines));
@@ -149,6 +149,7 @@ export class Plans {
       for (const { place, message: why } of about.problems) remarks.push(`${shown(name)}: ${say("figures_left_out", { name: place, why })}`);
     }
     if (message.defects.some((/** @type {any} */ one) => one.ranked.some((/** @type {any} */ each) => each.is_too_near))) remarks.push(say("plans_too_near"));
+    if (message.defects.some((/** @type {any} */ one) => one.ranked.some((/** @type {any} */ each) => each.is_inverted))) remarks.push(say("plans_inverted"));
     if (parts.length > 0) remarks.push(say("plans_scores"));
     find("plans-remarks").replaceChildren(...remarks.map((one) => element("p", "", one)));
   }
