@@ -32,7 +32,7 @@ from heartcase.simulator.snapshot import Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
 from heartcase.simulator.tissue.checked import checked_gravity
 from heartcase.simulator.tissue.operated_tissue import OperatedTissue
-from heartcase.simulator.tissue.patched_tissue import PatchedTissue
+from heartcase.simulator.tissue.excised_tissue import ExcisedTissue
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]
@@ -44,7 +44,7 @@ SLEEP_HZ = 5.0
 """Slowest swing of tissue that sleeping shall not be seen in, Hz."""
 
 
-class Simulation(PatchedTissue, OperatedTissue):
+class Simulation(ExcisedTissue, OperatedTissue):
     """Tissue in motion.
 
     Lengths are mm in LPS axes, times s, forces N. A frame is: lead the hands with :meth:`lead`, take steps with

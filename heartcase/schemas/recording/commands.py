@@ -16,6 +16,7 @@ from heartcase.schemas.recording.command_model import CommandModel
 from heartcase.schemas.recording.suture_commands import (
     BoundPlace,
     DrawStitch,
+    Excise,
     PlacePatch,
     PlaceRow,
     PlaceStitch,
@@ -47,6 +48,7 @@ __all__ = [
     "Cut",
     "DrawStitch",
     "Entry",
+    "Excise",
     "GoTo",
     "Halt",
     "LeadGrab",
@@ -71,7 +73,7 @@ __all__ = [
     "parse_command",
 ]
 
-COMMANDS_VERSION = 3
+COMMANDS_VERSION = 4
 """Raised when a command is added or changes: who reads commands refuses those of a newer version."""
 STEPS_MAX = 100_000_000
 SPRINGS_MAX = 100_000
@@ -266,7 +268,7 @@ ToolAct = CloseForceps | CloseRetractor | BringScissors | Snip | WithdrawScissor
 ToolMotion = SqueezeForceps | PlaceScissors
 SutureAct = PlaceStitch | PlaceRow | TieStitch | TakeOutStitch | PlacePatch | TakeOutPatch
 InstrumentAct = CloseGrab | OpenGrab | BringProbe | WithdrawProbe | ToolAct
-Act = InstrumentAct | AddSprings | RemoveSprings | Cut | SutureAct
+Act = InstrumentAct | AddSprings | RemoveSprings | Cut | Excise | SutureAct
 """What :class:`Undo` takes back."""
 Motion = LeadGrab | MoveProbe | DrawStitch | Halt | Mark | Advance | ToolMotion
 Done = Act | Motion

@@ -1,4 +1,4 @@
-"""Commands for stitches, rows of stitches and patches."""
+"""Commands for stitches, rows of stitches, patches, and pieces that are taken out."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ __all__ = [
     "ROW_MAX",
     "BoundPlace",
     "DrawStitch",
+    "Excise",
     "PlacePatch",
     "PlaceRow",
     "PlaceStitch",
@@ -54,6 +55,21 @@ class PlaceStitch(CommandModel):
     """Stiffness of the thread, N/m; half of what the time step allows when left out."""
     bound: tuple[BoundPlace, BoundPlace] | None = None
     """The places that were found. What is recorded states them."""
+
+
+class Excise(CommandModel):
+    """Take out a piece of tissue that was cut free of all else."""
+
+    kind: Literal["excise"] = "excise"
+    """Which command."""
+    name: Name = "excision"
+    """Name in messages."""
+    place_mm: PointMm
+    """A point on it; it is taken to the nearest place on the surface."""
+    at_rest: bool = False
+    """Whether that is a place of the tissue at rest; else it is one now."""
+    bound: BoundPlace | None = None
+    """The place that was found. What is recorded states it."""
 
 
 class PlaceRow(CommandModel):

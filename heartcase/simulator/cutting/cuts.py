@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float64, Int64
+from heartcase.schemas.arrays import Bool, Float64, Int64
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.bit_masks.inheriting import held_nodes
 from heartcase.simulator.cutting.blade_sheet import Sheet
@@ -74,16 +74,24 @@ class Cuts:
     """What blades swept, at rest."""
     parted: PartedLattice | None = None
     """What they leave; None where there are none."""
+    excised: Bool | None = None
+    """Nodes of ``model`` whose tissue was taken out, shape (node_count,): they stand still at rest, and nothing shows,
+    touches or holds them; None where nothing was."""
 
     @cached_property
     def rate_along(self) -> float:
         """As of :func:`heartcase.simulator.cutting.cut_frequency.rate_along_cuts`; 0 with springs."""
         return 0.0 if self.parted is None or not self.model.law.is_element else rate_along_cuts(self.parted)
 
-    @property
+    @cached_property
     def model(self) -> LatticeModel:
-        """The lattice that is left, without explicit springs."""
-        return self.uncut if self.parted is None else self.parted.model
+        """The lattice that is left, without explicit springs; what was excised is fixed."""
+        model = self.uncut if self.parted is None else self.parted.model
+        return model if self.excised is None else replace(model, node_is_fixed=model.node_is_fixed | self.excised)
+
+    def without(self, nodes: Bool) -> Cuts:
+        """The same with more excised: True for each of its nodes, shape (node_count,)."""
+        return replace(self, excised=nodes if self.excised is None else self.excised | nodes)
 
     def with_sheet(self, sheet: Sheet) -> tuple[Cuts, Step]:
         """One more sheet, and how nodes go over.
@@ -100,11 +108,15 @@ class Cuts:
             made = part_further(self.uncut, self.tissue, self.parted, sheet)
             if made is not None:
                 further, descent, now = made
-                return replace(self, sheets=sheets, parted=further), Step(descent, now)
+                return self._parted(sheets, further, descent), Step(descent, now)
         parted = part(self.uncut, sheets, self.tissue)
         descent = descent_of(self.uncut, self.parted, parted)
         step = Step(descent, nodes_now(self.uncut, self.parted, parted, descent.node_before))
-        return replace(self, sheets=sheets, parted=parted), step
+        return self._parted(sheets, parted, descent), step
+
+    def _parted(self, sheets: tuple[Sheet, ...], parted: PartedLattice, descent: Descent) -> Cuts:
+        excised = None if self.excised is None else self.excised[descent.node_before]
+        return replace(self, sheets=sheets, parted=parted, excised=excised)
 
 
 def cut_further(model: LatticeModel, cuts: Cuts, points: Float64) -> tuple[LatticeModel, Cuts, Step]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from heartcase.compiling.kernel import kernel
-from heartcase.schemas.arrays import Float, Float32, Float64, Int32, Int64
+from heartcase.schemas.arrays import Bool, Float, Float32, Float64, Int32, Int64
 
 __all__ = ["PreciseState", "State"]
 
@@ -56,6 +56,10 @@ class State:
             rows[chosen] = np.add.reduceat(others[nodes_before].astype(np.float64) * shares[:, None], first)
             found.append(rows)
         return self._rounded(*found)
+
+    def with_still(self, nodes: Bool) -> State:
+        """The same with some nodes at their rest position and still: True for each, shape (node_count,)."""
+        return self._rounded(*(np.where(nodes[:, None], 0, rows).astype(rows.dtype) for rows in self._all_digits))
 
     @property
     def _all_digits(self) -> tuple[Float, Float]:

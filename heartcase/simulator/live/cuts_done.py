@@ -8,7 +8,7 @@ from typing import get_args
 
 from heartcase.schemas.arrays import Bool, Float32
 from heartcase.schemas.recording.commands import Act, Cut
-from heartcase.schemas.recording.suture_commands import PlacePatch, PlaceRow, PlaceStitch
+from heartcase.schemas.recording.suture_commands import Excise, PlacePatch, PlaceRow, PlaceStitch
 from heartcase.schemas.recording.tool_commands import Snip
 from heartcase.simulator.incisions.held_open import ShownHeart
 from heartcase.simulator.lattice.model import LatticeModel
@@ -20,7 +20,7 @@ __all__ = ["MARKED", "ActMarks", "CutsDone", "Kept", "Moment"]
 
 _ACTS = get_args(Act)
 MARKED: dict[type, str] = {
-    Cut: "cut", Snip: "cut", PlacePatch: "patch", PlaceStitch: "stitch", PlaceRow: "stitch",
+    Cut: "cut", Snip: "cut", Excise: "excision", PlacePatch: "patch", PlaceStitch: "stitch", PlaceRow: "stitch",
 }  # fmt: skip
 """Acts that one wants to find again, and what they are called."""
 

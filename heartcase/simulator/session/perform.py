@@ -22,6 +22,7 @@ from heartcase.schemas.recording.commands import (
     Cut,
     Done,
     DrawStitch,
+    Excise,
     Halt,
     LeadGrab,
     Mark,
@@ -44,9 +45,10 @@ from heartcase.simulator.instruments.grab import Grab
 from heartcase.simulator.instruments.probe import Probe
 from heartcase.simulator.instruments.wrench import Instrument
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.session.perform_sutures import patched_lattice, perform_suture, resolved_suture
+from heartcase.simulator.session.perform_sutures import patched_lattice, perform_suture, place_of, resolved_suture
 from heartcase.simulator.session.perform_tools import as_poses, perform_tool, resolved_snip
 from heartcase.simulator.simulation import Simulation
+from heartcase.simulator.tissue.excised_tissue import excised_lattice
 
 __all__ = ["changed_lattice", "instrument_named", "perform", "refuse_others", "resolved"]
 
@@ -110,6 +112,10 @@ def perform(simulation: Simulation, command: Done) -> None:
             simulation.remove_explicit_springs(_chosen(simulation.model, command))
         case Cut():
             simulation.cut(command.poses_mm, at_rest=command.at_rest, name=command.name)
+        case Excise():
+            bound = command.bound
+            place = command.place_mm if bound is None else place_of(bound)
+            simulation.excise(place, at_rest=command.at_rest, name=command.name)
         case PlaceStitch() | PlaceRow() | DrawStitch() | TieStitch() | TakeOutStitch() | PlacePatch() | TakeOutPatch():
             perform_suture(simulation, command)
         case Advance():
@@ -141,6 +147,9 @@ def changed_lattice(model: LatticeModel, cuts: Cuts, command: Done, *, step_s: f
     if isinstance(command, Cut | Snip) and poses_mm is not None:
         cut, cuts, _ = cut_further(model, cuts, blade_points(model, poses_mm, command.name, may_be_open=True))
         return cut, cuts
+    if isinstance(command, Excise) and command.bound is not None:
+        left, without, _ = excised_lattice(model, cuts, place_of(command.bound), name=command.name)
+        return left, without
     return _joined(patched_lattice(model, cuts, command, step_s=step_s), command, step_s=step_s), cuts
 
 

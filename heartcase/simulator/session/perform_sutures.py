@@ -7,6 +7,7 @@ from heartcase.schemas.recording.commands import (
     BoundPlace,
     Done,
     DrawStitch,
+    Excise,
     PlacePatch,
     PlaceRow,
     PlaceStitch,
@@ -22,7 +23,15 @@ from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.suturing.places import Place
 from heartcase.simulator.suturing.stitches import Stitch
 
-__all__ = ["patch_named", "patched_lattice", "perform_suture", "resolved_suture", "stitch_named", "stitches_named"]
+__all__ = [
+    "patch_named",
+    "patched_lattice",
+    "perform_suture",
+    "place_of",
+    "resolved_suture",
+    "stitch_named",
+    "stitches_named",
+]
 
 
 def resolved_suture(simulation: Simulation, command: Done) -> Done:
@@ -31,6 +40,9 @@ def resolved_suture(simulation: Simulation, command: Done) -> Done:
         first, second = command.places_mm
         places = (simulation.place(point, at_rest=command.at_rest, name=command.name) for point in (first, second))
         return command.model_copy(update={"bound": tuple(map(_bound, places))})
+    if isinstance(command, Excise) and command.bound is None:
+        found = simulation.place(command.place_mm, at_rest=command.at_rest, name=command.name)
+        return command.model_copy(update={"bound": _bound(found)})
     if isinstance(command, PlaceRow) and command.bound is None:
         chosen = [stitch_named(simulation, name) for name in command.between or ()] or command.places_mm or ()
         row = simulation.row_places(chosen, spacing_mm=command.spacing_mm, at_rest=command.at_rest, name=command.name)
@@ -60,13 +72,13 @@ def perform_suture(simulation: Simulation, command: Done) -> None:
         case PlaceStitch():
             if any(command.name in (stitch.name, stitch.row) for stitch in simulation.stitches):
                 raise SimulationError("there is a stitch of this name: take another name", place=command.name)
-            places = command.places_mm if command.bound is None else tuple(map(_place, command.bound))
+            places = command.places_mm if command.bound is None else tuple(map(place_of, command.bound))
             stiffness = command.stiffness_n_m
             simulation.stitch(places, at_rest=command.at_rest, stiffness_n_m=stiffness, name=command.name)
         case PlaceRow():
             row = resolved_suture(simulation, command)
             assert isinstance(row, PlaceRow)
-            pairs = [(_place(one), _place(other)) for one, other in row.bound or ()]
+            pairs = [(place_of(one), place_of(other)) for one, other in row.bound or ()]
             simulation.stitch_row(
                 pairs, is_running=command.running, stiffness_n_m=command.stiffness_n_m, name=command.name
             )
@@ -84,7 +96,7 @@ def perform_suture(simulation: Simulation, command: Done) -> None:
             assert isinstance(patch, PlacePatch)
             assert patch.rim_mm is not None
             simulation.sew_on(
-                tuple(map(_place, patch.bound or ())),
+                tuple(map(place_of, patch.bound or ())),
                 patch.rim_mm,
                 stiffness_n_m=command.stiffness_n_m,
                 thickness_mm=command.thickness_mm,
@@ -157,5 +169,6 @@ def _bound(place: Place) -> BoundPlace:
     return BoundPlace(cell=place.cell, sample=place.sample, local=place.local)
 
 
-def _place(bound: BoundPlace) -> Place:
+def place_of(bound: BoundPlace) -> Place:
+    """A place as a command states it."""
     return Place(bound.cell, bound.sample, bound.local)

@@ -1,36 +1,22 @@
-"""What a cut sets free: parts of a lattice that hang together by no node, and lattices and surfaces without some."""
+"""What a cut sets free: parts of a lattice that hang together by no node, and surfaces without some."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from heartcase.schemas.arrays import Int32, Int64
-from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.arrays import Int32
 from heartcase.simulator.lattice.model import LatticeModel
-from heartcase.simulator.lattice.sub_lattice import sub_lattice
 from heartcase.simulator.surface.deform import PickingModel, make_picking
 from heartcase.simulator.surface_splitting.gluing import number_parts
 from heartcase.simulator.surface_splitting.split_surface import SplitSurface
 
-__all__ = ["Excision", "cut_picking", "excise", "parts_of_lattice", "triangles_of_parts"]
+__all__ = ["cut_picking", "parts_of_lattice", "triangles_of_parts", "without_excised"]
 
 _FACES = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
 """Corners of a cell's faces, counter-clockwise from outside."""
-
-
-@dataclass(frozen=True)
-class Excision:
-    """A lattice without some of its parts."""
-
-    model: LatticeModel
-    """What is left."""
-    nodes: Int64
-    """Nodes that are left, ascending: what node each of the model was, shape (node_count,)."""
-    cells: Int64
-    """Cells that are left, ascending, shape (cell_count,)."""
 
 
 def parts_of_lattice(model: LatticeModel) -> Int32:
@@ -47,38 +33,39 @@ def triangles_of_parts(model: LatticeModel, split: SplitSurface) -> Int32:
     return found
 
 
-def excise(model: LatticeModel, removed: npt.ArrayLike) -> Excision:
-    """Take parts out of a lattice: their cells, nodes and springs.
+def without_excised(split: SplitSurface, excised: npt.ArrayLike) -> SplitSurface:
+    """A split surface without the triangles that follow excised nodes; its vertices keep their numbers.
+
+    What is left is closed as before: parts that were cut free share no edge with others.
 
     Parameters
     ----------
-    model
-        A lattice that was cut.
-    removed
-        Numbers of the parts (:func:`parts_of_lattice`) to take out.
-
-    Raises
-    ------
-    SimulationError
-        Nothing would be left, or explicit springs are there: they must be taken out first.
+    split
+        The surface.
+    excised
+        True for each node of its lattice that was excised, shape (node_count,).
     """
-    kept = ~np.isin(parts_of_lattice(model), np.asarray(removed))
-    if not kept.any():
-        raise SimulationError("every part of the tissue would be removed: leave one", place="excision")
-    if len(model.explicit.nodes):
-        raise SimulationError("explicit springs hold this lattice: take them out before an excision", place="excision")
-    cells = np.flatnonzero(kept)
-    left, nodes = sub_lattice(model, cells)
-    return Excision(left, nodes, cells)
+    surface = split.surface
+    kept = ~np.asarray(excised)[surface.triangle_nodes[surface.triangles[:, 0], 0]]
+    of_triangles = ("triangle_origin", "triangle_sheet", "triangle_part")
+    return replace(
+        split,
+        surface=replace(surface, triangles=surface.triangles[kept]),
+        **{name: getattr(split, name)[kept] for name in of_triangles},
+    )
 
 
-def cut_picking(model: LatticeModel) -> PickingModel:
+def cut_picking(model: LatticeModel, excised: npt.ArrayLike | None = None) -> PickingModel:
     """The one-to-one surface of a cut lattice: a vertex for each node of a face that one cell alone has.
 
-    It is closed, each edge passed as often one way as the other, and goes into the cut on both sides.
+    It is closed, each edge passed as often one way as the other, and goes into the cut on both sides. Cells of nodes
+    that were excised, True in ``excised``, shape (node_count,), have none.
     """
-    faces = model.cell_corners[:, _FACES].reshape(-1, 4).astype(np.int64)
-    is_far = np.tile(np.array([False, True] * 3), model.cell_count)
+    corners = model.cell_corners
+    if excised is not None:
+        corners = corners[~np.asarray(excised)[corners[:, 0]]]
+    faces = corners[:, _FACES].reshape(-1, 4).astype(np.int64)
+    is_far = np.tile(np.array([False, True] * 3), len(corners))
     # Faces with the same nodes are seen from both sides by the two cells that they are between.
     a, b, c, d = np.sort(faces, axis=1).T
     _, low = np.unique(a << 31 | b, return_inverse=True)

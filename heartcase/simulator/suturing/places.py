@@ -169,6 +169,8 @@ def place_near(
     corners = model.node_index.astype(np.float64) + np.asarray(displacement, dtype=np.float64)
     middle = corners[model.cell_corners].mean(axis=1)
     away = np.einsum("nx,nx->n", middle - at, middle - at)
+    if cuts.excised is not None:
+        away[cuts.excised[model.cell_corners[:, 0]]] = np.inf
     cells = np.argsort(away, kind="stable")[:_CANDIDATES]
     around = corners[model.cell_corners[cells]]
     local = _local_places(around, at)

@@ -85,7 +85,7 @@ def cut_tissue(
     split = None
     if cuttable is not None and further.parted is not None:
         split = split_surface(cuttable, further.parted, further.sheets, split_before)
-    picking = cut_picking(without_loose_nodes(left)) if has_picking else None
+    picking = cut_picking(without_loose_nodes(left), further.excised) if has_picking else None
     # A device belongs to the thread that talks to it.
     engine = None
     if backend != "cuda":

@@ -31,13 +31,15 @@ from heartcase.simulator.surface.followers import SurfaceFollower
 from heartcase.simulator.surface.shown_surfaces import ShownSurfaces
 from heartcase.simulator.surface.tissue_inside import tissue_inside
 from heartcase.simulator.surface_splitting.cuttable_surface import CuttableSurface
-from heartcase.simulator.surface_splitting.free_parts import cut_picking
+from heartcase.simulator.surface_splitting.free_parts import cut_picking, without_excised
 from heartcase.simulator.surface_splitting.split_surface import SplitSurface, split_surface
 from heartcase.simulator.tissue.checked import check_fit
 from heartcase.simulator.tissue.coming_cuts import CutsAhead, CutTissue, cut_tissue
 
 __all__ = ["MovingTissue"]
 
+_FAR = 1e5
+"""Displacement that no blade reaches [cells]."""
 _SPLITS_KEPT = 8
 """Split surfaces that are kept for going back and on."""
 
@@ -234,7 +236,12 @@ class MovingTissue:
         """
         points = refined(blade_points(self.model, poses_mm, name), name)
         parted = None if self.cuts is None else self.cuts.parted
-        rest = blade_at_rest(self.model, self.state.displacement, points, parted)
+        displacement = self.state.displacement
+        if self.cuts is not None and self.cuts.excised is not None:
+            # No blade meets what was taken out, wherever that stood.
+            displacement = displacement.copy()
+            displacement[: len(self.cuts.excised)][self.cuts.excised] = _FAR
+        rest = blade_at_rest(self.model, displacement, points, parted)
         rest_mm: Float64 = self.model.geometry.index_to_world(rest - 0.5)
         return rest_mm
 
@@ -374,9 +381,11 @@ class MovingTissue:
             self.model = model
             return
         split = None if cuts is None else self._split_of(cuts, None if made is None else made.split)
+        if cuts is not None and split is not None and cuts.excised is not None:
+            split = without_excised(split, cuts.excised)
         picking = self._whole_picking
         if picking is not None and cuts is not None:
-            picking = cut_picking(without_loose_nodes(model)) if made is None else made.picking
+            picking = cut_picking(without_loose_nodes(model), cuts.excised) if made is None else made.picking
         engine = None if made is None else made.engine
         if engine is None:
             engine = make_engine(model, self.backend, self._engine)
