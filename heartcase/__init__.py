@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from heartcase.schemas.recording.reader import Recording, check_recording, open_recording
     from heartcase.schemas.recording.suture_commands import (
         DrawStitch,
+        Excise,
         PlacePatch,
         PlaceRow,
         PlaceStitch,
@@ -167,6 +168,7 @@ __all__ = [
     "DrawStitch",
     "Energy",
     "Entry",
+    "Excise",
     "Felt",
     "FeltInstrument",
     "FileRole",
@@ -378,6 +380,7 @@ _MODULES = {
     "heartcase.schemas.recording.reader": ("Recording", "check_recording", "open_recording"),
     "heartcase.schemas.recording.suture_commands": (
         "DrawStitch",
+        "Excise",
         "PlacePatch",
         "PlaceRow",
         "PlaceStitch",

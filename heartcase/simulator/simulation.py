@@ -31,8 +31,8 @@ from heartcase.simulator.lattice.state import State
 from heartcase.simulator.snapshot import Snapshot
 from heartcase.simulator.surface.deform import PickingModel, SurfaceModel
 from heartcase.simulator.tissue.checked import checked_gravity
-from heartcase.simulator.tissue.operated_tissue import OperatedTissue
 from heartcase.simulator.tissue.excised_tissue import ExcisedTissue
+from heartcase.simulator.tissue.operated_tissue import OperatedTissue
 from heartcase.simulator.watchdog import Watch, find_runaway, find_trouble, watch
 
 __all__ = ["SLEEP_MM", "Simulation"]

@@ -406,7 +406,9 @@ class HeartWindow:
     def _write(self) -> None:
         """The texts of the window."""
         newest = self._drawn
-        tool = "orbit" if self.tool is None else f"{self.tool.title} ({self.tool.size_words.format(self.tool.size)})"
+        tool = "orbit" if self.tool is None else self.tool.title
+        if self.tool is not None and self.tool.size_words:
+            tool += f" ({self.tool.size_words.format(self.tool.size)})"
         pace = ""
         if newest.real_time_factor is not None:
             pace = f"  real time x {newest.real_time_factor:.2f} ({newest.steps_per_second:,.0f} steps/s)"

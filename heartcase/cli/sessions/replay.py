@@ -11,7 +11,7 @@ import click
 
 from heartcase.cli.shared.output import echo_json, working
 from heartcase.cli.shared.output_path import OutputPath
-from heartcase.cli.shared.sessions import check_numbers, require_folder, session_bar
+from heartcase.cli.shared.sessions import check_numbers, require_case, require_folder, session_bar
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recording.reader import Recording, open_recording
 from heartcase.schemas.scripts.script import SimulationScript
@@ -184,6 +184,7 @@ def _take_over(result: _Result, case: Case, script: SimulationScript, output: Pa
     if others:
         told = ", ".join(others)
         raise UsageError(f"the recording goes on as it was set: leave {told} out of the script", place="--take-over")
+    require_case(script, case)
     script = with_positions(script, case.manifest.landmarks)
     session.forget_ahead()
     parent = result.recording.branch_at(result.to_step)

@@ -22,6 +22,7 @@ from heartcase.cli.shared.sessions import (
     check_numbers,
     completed_script,
     needs_tissue,
+    operation_lines,
     require_folder,
     session_bar,
     session_options,
@@ -205,6 +206,10 @@ class _Audience:
         return montage(pictures, columns=len(pictures))
 
 
+_INVERTED_MANY = 2
+"""Cells that may turn on the way without a word."""
+
+
 def _check_names(surface: Path | None, animation: Path | None, picture: Path | None) -> None:
     """Refuse what cannot be written before any work is done."""
     if surface is not None and surface.suffix.lower() not in SURFACE_FORMATS:
@@ -249,7 +254,13 @@ def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
     for name, force in summary.peak_force_n.items():
         held = f" on {summary.held_node_count[name]:,} nodes" if name in summary.held_node_count else ""
         yield f"Force      {name}: at most {force:.3g} N{held}"
+    yield from operation_lines(summary)
     yield from stitch_lines(summary)
+    if summary.inverted_cell_count_max > max(summary.inverted_cell_count_end, _INVERTED_MANY):
+        yield (
+            f"Warning    {summary.inverted_cell_count_max:,} cells were turned inside out on the way: what was felt "
+            "then, and the largest stretch, mean nothing; lead it less far, or slower"
+        )
     if summary.inverted_cell_count_end:
         count = summary.inverted_cell_count_end
         are = "cell is" if count == 1 else "cells are"

@@ -28,6 +28,8 @@ __all__ = [
     "completed_script",
     "law_options",
     "needs_tissue",
+    "operation_lines",
+    "require_case",
     "require_folder",
     "session_bar",
     "session_options",
@@ -41,6 +43,8 @@ __all__ = [
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_TIED_PART = 0.9
+"""Part of the tension that was asked for with which a stitch may be tied without a word."""
 _BESIDE = ("aortic-cut-in-weakest", "aortic-tear-out-weakest")
 """Measured forces that those in stitches are put beside."""
 DEFAULT_SECONDS = 2.0
@@ -119,6 +123,7 @@ def completed_script(
     """The script, or the default pull, with its landmarks found and what the command line changes."""
     if script is None:
         script = default_script(case.model, case.surface, seconds=seconds or DEFAULT_SECONDS)
+    require_case(script, case)
     script = with_positions(script, case.manifest.landmarks)
     changes = {"seconds": seconds, "step_s": step_s}
     return script.model_copy(update={key: value for key, value in changes.items() if value is not None})
@@ -140,12 +145,40 @@ def simulation_of(case: Case, script: SimulationScript, *, backend: Backend, sle
 
 def needs_tissue(script: SimulationScript) -> bool:
     """Whether a script cuts or sews: what blades and threads meet is the case's own tissue."""
-    return bool(script.cuts or script.scissors) or sews(script)
+    return bool(script.cuts or script.scissors or script.excisions) or sews(script)
 
 
 def sews(script: SimulationScript) -> bool:
     """Whether a script sews: the places of stitches are ones of the surface."""
     return bool(script.stitches or script.stitch_rows or script.patches)
+
+
+def require_case(script: SimulationScript | None, case: Case) -> None:
+    """UsageError where a script is for another case."""
+    if script is not None and script.case is not None and script.case.lower() != case.manifest.name.lower():
+        message = (
+            f"this script is for the case {script.case}, and this is {case.manifest.name}: give it that case, or take "
+            "the line case = ... out of the script"
+        )
+        raise UsageError(message, place="--script")
+
+
+def operation_lines(summary: SessionSummary) -> Iterator[str]:
+    """What was cut and taken out, and what of that, and of tensions, is not as it was asked for, in plain words."""
+    for name, area in summary.cut_mm2.items():
+        if area > 0.0:
+            yield f"Cut        {name}: {area:,.0f} mm2"
+        else:
+            yield f"Warning    {name} cut nothing: there is no tissue in its way, or it was cut there before"
+    for name, volume in summary.excised_ml.items():
+        yield f"Excision   {name}: {volume:.2f} ml taken out"
+    for name, (tied, asked) in summary.stitch_tied_n.items():
+        if tied < _TIED_PART * asked:
+            yield (
+                f"Warning    {name} was tied with {tied:.2g} N, not the {asked:.3g} N that were asked for: its ends "
+                "met first, or its thread is as stiff as the time step allows; draw it with less, for longer, "
+                "or with a smaller step"
+            )
 
 
 def template_files(simulation: Simulation, folder: Path) -> Iterator[Path]:

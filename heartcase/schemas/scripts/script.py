@@ -12,7 +12,7 @@ from heartcase.schemas.scripts.suture_actions import PatchAction, RowAction, Sti
 from heartcase.schemas.scripts.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
 from heartcase.schemas.scripts.waypoint import Waypoint, raise_problems, time_problems
 
-__all__ = ["CutAction", "GrabAction", "ProbeAction", "SimulationScript", "Waypoint"]
+__all__ = ["CutAction", "ExciseAction", "GrabAction", "ProbeAction", "SimulationScript", "Waypoint"]
 
 
 _Acceleration = Annotated[float, Field(ge=-10_000.0, le=10_000.0)]
@@ -63,6 +63,19 @@ class CutAction(Model):
         if len({len(pose) for pose in self.poses_mm}) > 1:
             raise ValueError("every pose of a blade needs as many points as the others")
         return self
+
+
+class ExciseAction(Model):
+    """Take out a piece of tissue that was cut free of all else."""
+
+    name: Name = "excision"
+    """Name in the summary; no other has it."""
+    time_s: Annotated[float, Field(ge=0.0)] = 0.0
+    """When, s: after cuts and stitches of the same moment, before hands let go or close."""
+    place_mm: PointMm
+    """A point on it; it is taken to the nearest place on the surface."""
+    at_rest: bool = False
+    """Whether that is a place of the tissue at rest; else it is one at that time."""
 
 
 class ProbeAction(Model):
@@ -124,11 +137,21 @@ class SimulationScript(Model):
     cuts: tuple[CutAction, ...] = ()
     """What blades cut; those of one moment in this order, before hands let go or close."""
 
+    excisions: tuple[ExciseAction, ...] = ()
+    """Pieces that are taken out once they are cut free."""
+    case: Name | None = None
+    """Name of the case that it is for: it is refused on another. It runs on any when left out."""
+
     @model_validator(mode="after")
     def _check_cuts(self) -> SimulationScript:
-        late = [cut.name for cut in self.cuts if cut.time_s >= self.seconds]
-        if late:
-            raise ValueError(f"cuts come after the end: {', '.join(late)}")
+        late = {
+            "cuts": [cut.name for cut in self.cuts if cut.time_s >= self.seconds],
+            "excisions": [one.name for one in self.excisions if one.time_s >= self.seconds],
+        }
+        problems = [f"{what} come after the end: {', '.join(names)}" for what, names in late.items() if names]
+        if len({one.name for one in self.excisions}) < len(self.excisions):
+            problems.append("two excisions have one name: name each by itself")
+        raise_problems(problems)
         return self
 
     probes: tuple[ProbeAction, ...] = ()

@@ -89,6 +89,14 @@ class Cuts:
         model = self.uncut if self.parted is None else self.parted.model
         return model if self.excised is None else replace(model, node_is_fixed=model.node_is_fixed | self.excised)
 
+    @property
+    def excised_ml(self) -> float:
+        """Volume of what was excised, ml."""
+        if self.excised is None:
+            return 0.0
+        model = self.model
+        return float(model.cell_coverage[self.excised[model.cell_corners[:, 0]]].sum()) * model.cell_mm**3 / 1000.0
+
     def without(self, nodes: Bool) -> Cuts:
         """The same with more excised: True for each of its nodes, shape (node_count,)."""
         return replace(self, excised=nodes if self.excised is None else self.excised | nodes)

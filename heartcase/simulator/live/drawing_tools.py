@@ -1,4 +1,4 @@
-"""Tools that draw on tissue or click on it: blade, scissors, patch, stitch, row of stitches."""
+"""Tools that draw on tissue or click on it: blade, scissors, patch, stitch, row of stitches, excision."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import ClassVar
 import numpy as np
 
 from heartcase.schemas.arrays import Float64
-from heartcase.schemas.recording.commands import Cut, Done, DrawStitch, PlacePatch, PlaceRow, PlaceStitch
+from heartcase.schemas.recording.commands import Cut, Done, DrawStitch, Excise, PlacePatch, PlaceRow, PlaceStitch
 from heartcase.schemas.recording.tool_commands import BringScissors, Snip, WithdrawScissors
 from heartcase.simulator.live.lines import DrawnLine
 from heartcase.simulator.live.rays import Hit, Pointer, on_plane
 from heartcase.simulator.live.tool import Held, Row, Tool, row_of, rows_of
 
-__all__ = ["CutTool", "PatchTool", "RowTool", "ScissorsTool", "StitchTool"]
+__all__ = ["CutTool", "ExciseTool", "PatchTool", "RowTool", "ScissorsTool", "StitchTool"]
 
 ABOVE_MM = 2.0
 """How far above a drawn line a blade begins, mm."""
@@ -225,3 +225,17 @@ class RowTool(_ClickingTool):
         a, b, c, d = places
         name = self.new_name("row")
         return [PlaceRow(name=name, places_mm=((a, b), (c, d))), DrawStitch(name=name, tension_n=self.size)]
+
+
+@dataclass
+class ExciseTool(Tool):
+    """Takes out the piece that is clicked, which was cut free of all else."""
+
+    key: ClassVar[str] = "d"
+    title: ClassVar[str] = "excise"
+
+    def press(self, pointer: Pointer, held: Sequence[Held] = ()) -> list[Done]:
+        """Take it out."""
+        if pointer.hit is None:
+            return []
+        return [Excise(place_mm=row_of(pointer.hit.point_mm))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heartcase.simulator.live.drawing_tools import CutTool, PatchTool, RowTool, ScissorsTool, StitchTool
+from heartcase.simulator.live.drawing_tools import CutTool, ExciseTool, PatchTool, RowTool, ScissorsTool, StitchTool
 from heartcase.simulator.live.holding_tools import ForcepsTool, GrabTool, ProbeTool, RetractorTool
 from heartcase.simulator.live.tool import Tool
 
@@ -18,5 +18,6 @@ TOOLS: tuple[type[Tool], ...] = (
     StitchTool,
     RowTool,
     PatchTool,
+    ExciseTool,
 )
 """Classes of tools."""

@@ -18,7 +18,6 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.migrate import SCRIPT
 from heartcase.schemas.recording.commands import (
     Advance,
-    Cut,
     LeadGrab,
     MoveProbe,
     SqueezeForceps,
@@ -35,7 +34,7 @@ from heartcase.simulator.lattice.model import LatticeModel
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.perform_tools import withdrawal_of
 from heartcase.simulator.session.script_sutures import Threads
-from heartcase.simulator.session.script_tools import Action, Snips, bringing_in, jaw_gap_mm
+from heartcase.simulator.session.script_tools import Action, Blades, Snips, bringing_in, jaw_gap_mm
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import SurfaceModel
 
@@ -96,6 +95,14 @@ class SessionSummary:
     """Stitch -> force in it at the end, or when it was taken out, N."""
     patch_peak_force_n: dict[str, float]
     """Patch -> highest force in a stitch of its rim in any frame, N."""
+    cut_mm2: dict[str, float]
+    """Cut -> area of tissue that it cut, mm2: 0 where it met none, or only what was cut before. Cuts of one name count
+    together; without a surface it is empty."""
+    excised_ml: dict[str, float]
+    """Excision -> volume of what was taken out, ml."""
+    stitch_tied_n: dict[str, tuple[float, float]]
+    """Stitch or row that was drawn with a tension -> tension of its thread when it was tied, the largest of a row, and
+    what was asked for, N: it is less where its ends met first, or the time step allows no stiffer thread."""
     patch_end_force_n: dict[str, tuple[float, ...]]
     """Patch -> force in each stitch of its rim at the end, or when it was taken out, N."""
     frame_time_s: tuple[float, ...]
@@ -264,6 +271,7 @@ def run_script(
     actions: list[Action] = [*script.actions, *script.probes, *script.forceps, *script.retractors]
     timelines = [_timeline(action, step_s, step_total) for action in actions]
     cuts = [(min(round(cut.time_s / step_s), step_total - 1), cut) for cut in script.cuts]
+    excisions = [(min(round(one.time_s / step_s), step_total - 1), one) for one in script.excisions]
     snips = [Snips(one, step_s, step_total) for one in script.scissors]
     threads = Threads(session, script, step_total)
     stops = sorted(
@@ -271,10 +279,10 @@ def run_script(
         | {stop for one in snips for stop in one.stops}
         | set(threads.stops())
         | {stop for timeline in timelines for stop in _stops(timeline, step_total)}
-        | {step for step, _ in cuts if 0 < step < step_total}
+        | {step for step, _ in (*cuts, *excisions) if 0 < step < step_total}
     )
 
-    hands = _Hands(session, timelines)
+    hands, blades = _Hands(session, timelines), Blades(session)
     furthest, inverted = 0.0, 0
     times, energies = [0.0], [simulation.energy()]
     wall = 0.0
@@ -288,10 +296,13 @@ def run_script(
         started = time.perf_counter()
         for step, cut in cuts:
             if step == now:
-                session.do(Cut(name=cut.name, poses_mm=cut.poses_mm, at_rest=cut.at_rest))
+                blades.cut(cut)
         for one in snips:
             one.go_on(session, now)
         threads.change(now)
+        for step, excision in excisions:
+            if step == now:
+                blades.excise(excision)
         hands.change(now)
         hands.lead(stop)
         threads.draw(stop)
@@ -332,6 +343,9 @@ def run_script(
         stitch_peak_force_n=threads.peak_force_n,
         stitch_end_force_n=threads.end_force_n,
         patch_peak_force_n=threads.patch_peak_force_n,
+        cut_mm2=blades.cut_mm2,
+        excised_ml=blades.excised_ml,
+        stitch_tied_n=threads.tied_n,
         patch_end_force_n=threads.patch_force_n,
         frame_time_s=tuple(times),
         frame_energy=tuple(energies),

@@ -61,6 +61,8 @@ class Threads:
         """Stitch -> highest force in it in any frame, N."""
         self.end_force_n: dict[str, float] = {}
         """Stitch -> force in it at the last frame in which it was there, N."""
+        self.tied_n: dict[str, tuple[float, float]] = {}
+        """Stitch or row that is drawn with a tension -> its tension when it was tied, and that asked for, N."""
         self.patch_force_n: dict[str, tuple[float, ...]] = {}
         """Patch -> force in each stitch of its rim at the last frame in which it was there, N."""
         self.patch_peak_force_n: dict[str, float] = {}
@@ -86,6 +88,9 @@ class Threads:
                 stitches = stitches_named(simulation, name)
                 one.started_at = {stitch.name: simulation.stitch_state(stitch).length_mm for stitch in stitches}
             if now == one.tied:
+                if one.action.tension_n is not None:
+                    forces = [simulation.stitch_state(stitch).force_n for stitch in stitches_named(simulation, name)]
+                    self.tied_n[name] = (max(forces), one.action.tension_n)
                 self.session.do(TieStitch(name=name))
             if now == one.out:
                 self.session.do(TakeOutStitch(name=name))

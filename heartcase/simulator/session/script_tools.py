@@ -1,4 +1,4 @@
-"""Instruments of a script as commands of a session: how each comes in, how jaws close, when scissors cut."""
+"""Instruments of a script as commands of a session: how each comes in, how jaws close, when blades and scissors cut."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ from heartcase.schemas.recording.commands import (
     CloseForceps,
     CloseGrab,
     CloseRetractor,
+    Cut,
+    Excise,
     PlaceScissors,
     Snip,
 )
-from heartcase.schemas.scripts.script import GrabAction, ProbeAction
+from heartcase.schemas.scripts.script import CutAction, ExciseAction, GrabAction, ProbeAction
 from heartcase.schemas.scripts.tool_actions import ForcepsAction, RetractorAction, ScissorsAction
+from heartcase.simulator.incisions.cut_tissue import area_mm2, cut_triangles
 from heartcase.simulator.instruments.forceps import Forceps
 from heartcase.simulator.session.operating_session import OperatingSession
 
-__all__ = ["Action", "Snips", "bringing_in", "jaw_gap_mm"]
+__all__ = ["Action", "Blades", "Snips", "bringing_in", "jaw_gap_mm"]
 
 Action = GrabAction | ProbeAction | ForcepsAction | RetractorAction
 """What has a path of its own in a script."""
@@ -118,3 +121,36 @@ class Snips:
         if angle_deg != self._angle_deg:
             session.do(Snip(name=self.action.name, angle_deg=angle_deg))
             self._angle_deg = angle_deg
+
+
+class Blades:
+    """What the blades of a script cut, and what is taken out."""
+
+    def __init__(self, session: OperatingSession) -> None:
+        self.session = session
+        self.cut_mm2: dict[str, float] = {}
+        self.excised_ml: dict[str, float] = {}
+
+    def cut(self, action: CutAction) -> None:
+        """Cut, and keep how much of it went through tissue."""
+        before = self._area_mm2()
+        self.session.do(Cut(name=action.name, poses_mm=action.poses_mm, at_rest=action.at_rest))
+        if self.session.simulation.surface is not None:
+            cut = max(self._area_mm2() - before, 0.0)
+            self.cut_mm2[action.name] = self.cut_mm2.get(action.name, 0.0) + cut
+
+    def excise(self, action: ExciseAction) -> None:
+        """Take a piece out, and keep how much it was."""
+        before = self._excised_ml()
+        self.session.do(Excise(name=action.name, place_mm=action.place_mm, at_rest=action.at_rest))
+        self.excised_ml[action.name] = self._excised_ml() - before
+
+    def _area_mm2(self) -> float:
+        split = self.session.simulation.split
+        if split is None:
+            return 0.0
+        return area_mm2(cut_triangles(split.surface.rest_mm, split.surface.triangles, split.triangle_is_cut_face))
+
+    def _excised_ml(self) -> float:
+        simulation = self.session.simulation
+        return 0.0 if simulation.cuts is None else simulation.cuts.excised_ml

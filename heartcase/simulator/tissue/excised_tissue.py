@@ -110,18 +110,16 @@ class ExcisedTissue(PatchedTissue):
         holding = [*self._holding(part), *self._sewn_to(part)]
         if holding:
             raise SimulationError(f"this piece is held by {', '.join(holding)}: let go of it first", place=name)
-        state = self.state
-        at_rest_state = state.with_still(part)
+        state = self.state.with_still(part)
         full = next((split for known_cuts, split in self._splits if known_cuts is self.cuts), None)
         if full is not None:
             self._splits = [*self._splits, (without, full)]
         self._set_model(model, without)
-        self._engine.load(at_rest_state)
+        self._engine.load(state)
         self._hold()
         self._string()
         self._state = None
-        cells = part[model.cell_corners[:, 0]]
-        return float(model.cell_coverage[cells].sum()) * model.cell_mm**3 / 1000.0
+        return without.excised_ml - cuts.excised_ml
 
     def _holding(self, part: Bool) -> list[str]:
         """Names of hands, forceps and retractors that hold some of these nodes."""

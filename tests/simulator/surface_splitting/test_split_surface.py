@@ -10,14 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.schemas.bundle.surface_kinds import SurfaceKind
-from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.cutting.blade_sheet import Sheet
 from heartcase.simulator.cutting.parted_lattice import part
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.surface.deform import deform, deform_picking
 from heartcase.simulator.surface.followers import SurfaceFollower
 from heartcase.simulator.surface_splitting.cuttable_surface import CuttableSurface
-from heartcase.simulator.surface_splitting.free_parts import cut_picking, excise, parts_of_lattice, triangles_of_parts
+from heartcase.simulator.surface_splitting.free_parts import (
+    cut_picking,
+    parts_of_lattice,
+    triangles_of_parts,
+    without_excised,
+)
 from heartcase.simulator.surface_splitting.split_surface import split_surface
 from tests.simulator.surface_splitting.surfaces import block, box, check_closed, check_ties, hung, plane, sheets, volume
 
@@ -229,21 +233,21 @@ def test_an_uncut_lattice_is_picked_at_its_outer_faces():
     assert volume(MODEL.node_index[picking.nodes].astype(float), picking.triangles) == pytest.approx(18.0)
 
 
-def test_a_part_that_is_cut_free_is_taken_out():
+def test_a_part_that_is_cut_free_is_taken_out_of_the_surfaces():
     parted, found = cut([plane(0, 1.3)])
     numbers = parts_of_lattice(parted.model)
     gone = numbers[np.argmax(parted.model.cells[:, 0])]
-    left = excise(parted.model, [gone])
-    assert left.model.cells[:, 0].max() == 1
-    assert left.model.tissue_volume_ml == pytest.approx(1.25 * 6 * (MODEL.cell_mm / 10) ** 3, rel=1e-5)
-    assert left.model.mass_kg == pytest.approx(parted.model.node_mass[left.nodes].sum() * MODEL.units.mass_kg)
-    np.testing.assert_array_equal(left.model.node_index, parted.model.node_index[left.nodes])
+    excised = np.zeros(parted.model.node_count, bool)
+    excised[parted.model.cell_corners[numbers == gone]] = True
     of_triangle = triangles_of_parts(parted.model, found)
-    kept = found.surface.triangles[of_triangle != gone]
-    check_closed(found.weld[kept])
-    assert set(found.triangle_part[of_triangle == gone]).isdisjoint(found.triangle_part[of_triangle != gone])
-    with pytest.raises(SimulationError, match="every part of the tissue would be removed"):
-        excise(parted.model, np.unique(numbers))
+    left = without_excised(found, excised)
+    np.testing.assert_array_equal(left.surface.triangles, found.surface.triangles[of_triangle != gone])
+    check_closed(left.weld[left.surface.triangles])
+    assert set(found.triangle_part[of_triangle == gone]).isdisjoint(left.triangle_part)
+    assert left.surface.rest_mm[left.surface.triangles][..., 0].max() <= 1.3 * MODEL.cell_mm + 1e-3
+    picking = cut_picking(parted.model, excised)
+    assert not excised[picking.nodes].any()
+    check_closed(picking.triangles)
 
 
 # Seeds 2 and 7 cut exactly along an edge of the box.

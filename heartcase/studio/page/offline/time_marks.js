@@ -4,7 +4,7 @@ import { timeMark } from "../operating/time_line.js";
 import { language } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Package} Package */
-/** Number of the moment, what was done then, and when [s]. @typedef {{at: number, kind: "cut" | "patch" | "stitch", time: number}} Mark */
+/** Number of the moment, what was done then, and when [s]. @typedef {{at: number, kind: "cut" | "excision" | "patch" | "stitch", time: number}} Mark */
 
 /** What the frames tell of steps, as moments. @param {Package[][]} moments @returns {Mark[]} */
 export function marksOf(moments) {

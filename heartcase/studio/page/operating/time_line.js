@@ -3,7 +3,7 @@
 import { element } from "../shared/elements.js";
 import { figure, fillWords, language, say } from "../shared/words.js";
 
-/** Step, and what was done then. @typedef {[number, "cut" | "patch" | "stitch"]} Mark */
+/** Step, and what was done then. @typedef {[number, "cut" | "excision" | "patch" | "stitch"]} Mark */
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));

@@ -61,7 +61,7 @@ export class ToolBar {
 
   /** @param {number | null} size of what is in hand; null where it has none @param {number} [digits] behind the point */
   tellSize(size, digits = 0) {
-    for (const id of ["smaller", "larger"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = size === null;
+    for (const id of ["smaller", "larger"]) /** @type {HTMLButtonElement} */ (find(id)).disabled = !size;
     const word = `operate_size_${this.tool}`;
     const words = size === null ? say("operate_no_tool") : isWord(word) ? say(word, { size: figure(size, digits) }) : String(size);
     find("size").textContent = words;

@@ -47,6 +47,8 @@ export const operating = {
   branch_time: "{start} bis {end} s",
   branch_cut_one: "1 Schnitt",
   branch_cut_several: "{count} Schnitte",
+  branch_excision_one: "1 Entnahme",
+  branch_excision_several: "{count} Entnahmen",
   branch_patch_one: "1 Patch",
   branch_patch_several: "{count} Patches",
   branch_stitch_one: "1 Stich oder Stichreihe",

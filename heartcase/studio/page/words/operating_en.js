@@ -47,6 +47,8 @@ export const operating = {
   branch_time: "{start} to {end} s",
   branch_cut_one: "1 cut",
   branch_cut_several: "{count} cuts",
+  branch_excision_one: "1 excision",
+  branch_excision_several: "{count} excisions",
   branch_patch_one: "1 patch",
   branch_patch_several: "{count} patches",
   branch_stitch_one: "1 stitch or row",
