@@ -60,7 +60,7 @@ SECTIONS = {
         "raises a `RecordingError` with all that is wrong, as `parse_command` does.",
         "CloseGrab LeadGrab OpenGrab BringProbe MoveProbe WithdrawProbe AddSprings RemoveSprings Cut Mark Halt Advance "
         "Undo Redo Rewind GoTo Entry parse_command CloseForceps SqueezeForceps CloseRetractor BringScissors "
-        "PlaceScissors Snip WithdrawScissors PlaceStitch PlaceRow DrawStitch TieStitch TakeOutStitch PlacePatch "
+        "PlaceScissors Snip WithdrawScissors PlaceStitch PlaceRow DrawStitch TieStitch TakeOutStitch PlacePatch Excise "
         "TakeOutPatch",
     ),
     "Feel it": (

@@ -181,7 +181,7 @@ class _Audience:
             if self.film_every and self.frame_number % self.film_every == 0:
                 self.camera.film(Seen.now(simulation, self.colours))
             moved = float(np.abs(tissue_displacement(simulation.model, simulation.state.displacement)).max())
-            if self.wants_picture and moved > self.furthest:
+            if self.wants_picture and moved >= self.furthest:
                 self.furthest = moved
                 self.furthest_seen = Seen.now(simulation, self.colours)
                 self.furthest_time_s = time_s
