@@ -42,7 +42,7 @@ KEYS: tuple[Key, ...] = (
     Key(("bracketleft", "comma"), "move_slice:-1", "[", "slice towards the scan's first"),
     Key(("bracketright", "period"), "move_slice:1", "]", "slice the other way"),
     Key(("a", "A"), "show_all:", "A", "show all structures"),
-    Key(("z", "Z"), "reset_view:", "Z", "the view of the start"),
+    Key(("Home",), "reset_view:", "Home", "the view of the start"),
     Key(("Escape",), "put_down:", "Esc", "put down what was begun"),
     Key(("h", "H", "question"), "show_help:", "H", "this list"),
     Key(("q", "Q"), "leave:", "Q", "close the window; a recording is finished"),

@@ -238,7 +238,7 @@ def test_the_mouse_orbits_without_a_tool_beside_the_heart_and_by_the_right_butto
         assert turned(lambda: mouse.move((240, 180))) == 0.0
         assert turned(lambda: mouse.wheel(2)) > 1.0
         assert len(live.session.entries) == entries
-        mouse.key("z")
+        mouse.key("Home")
         assert window.plotter.camera.up == pytest.approx((0.0, 0.0, 1.0))
 
 

@@ -231,7 +231,7 @@ class RowTool(_ClickingTool):
 class ExciseTool(Tool):
     """Takes out the piece that is clicked, which was cut free of all else."""
 
-    key: ClassVar[str] = "d"
+    key: ClassVar[str] = "z"
     title: ClassVar[str] = "excise"
 
     def press(self, pointer: Pointer, held: Sequence[Held] = ()) -> list[Done]:

@@ -14,7 +14,7 @@ const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 /** Keys and what they do, in the order in which they are shown. @type {readonly (readonly [string, Word])[]} */
 export const HELP = [
   ["O", "operate_help_orbit"],
-  ["G P C J F R S N E D", "operate_help_tools"],
+  ["G P C J F R S N E Z", "operate_help_tools"],
   ["[  ]", "operate_help_size"],
   ["Enter", "operate_help_enter"],
   ["↑ ↓ ← →", "operate_help_arrows"],

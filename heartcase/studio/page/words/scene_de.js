@@ -45,7 +45,7 @@ export const words = {
   operate_hint_r: "Eine Linie an einer Lippe des Schnitts entlang zeichnen, dann auf sie drücken und quer ziehen: Er bleibt.",
   operate_hint_s: "Zwei Orte anklicken, einen auf jeder Seite. Knoten (T) knüpft den Stich.",
   operate_hint_n: "Beide Orte des ersten Stichs anklicken, dann beide des letzten: Die dazwischen kommen von selbst. Knoten (T) knüpft sie.",
-  operate_hint_d: "Ein rundum frei geschnittenes Stück anklicken: Es wird herausgenommen.",
+  operate_hint_z: "Ein rundum frei geschnittenes Stück anklicken: Es wird herausgenommen.",
   operate_hint_e: "Einen Umriss um eine Öffnung zeichnen: An ihm entlang wird ein Patch angenäht.",
   scene_help_views: "zwei Ansichten; Tuch, Sperrer, Kanülen",
 };

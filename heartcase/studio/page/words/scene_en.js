@@ -45,7 +45,7 @@ export const words = {
   operate_hint_r: "Draw a line along a lip of the cut, then press on it and pull it across: it stays.",
   operate_hint_s: "Click two places, one on each side. Tie (T) ties the stitch.",
   operate_hint_n: "Click both places of the first stitch, then both of the last: those between come by themselves. Tie (T) ties them.",
-  operate_hint_d: "Click a piece that is cut free on all sides: it is taken out.",
+  operate_hint_z: "Click a piece that is cut free on all sides: it is taken out.",
   operate_hint_e: "Draw an outline around an opening: a patch is sewn on along it.",
   scene_help_views: "two views; drape, retractor, cannulae",
 };
