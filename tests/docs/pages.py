@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 import shlex
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,10 +60,15 @@ def is_run(example: Example) -> bool:
     )
 
 
-def run_page(page: Path, run: Callable[[list[str]], tuple[int, str]]) -> None:
-    """Run the examples of a page in the present directory; ``run`` runs a command and gives exit code and output."""
+def run_page(page: Path, run: Callable[[list[str]], tuple[int, str]], *, kinds: Sequence[str] = ()) -> None:
+    """Run the examples of a page in the present directory; ``run`` runs a command and gives exit code and output.
+
+    Only those of some ``kinds``, where they are named.
+    """
     names: dict[str, Any] = {"__name__": "__main__"}
     for example in examples_of(page):
+        if kinds and example.kind not in kinds:
+            continue
         where = f"{page.name}:{example.line}"
         if example.kind == "python":
             exec(compile(example.content, where, "exec"), names)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import shutil
 from pathlib import Path
@@ -80,6 +81,31 @@ def test_examples_run(
     run_page(page, run)
 
 
+ON_THE_SAMPLE = [
+    p for p in PAGES if any(e.kind == "python" and "out/adult-phantom.case" in e.content for e in examples_of(p))
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ON_THE_SAMPLE, ids=lambda page: page.name)
+def test_python_runs_on_the_sample_case(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The case that a page names, of a whole heart: another shape than that of the stage.
+
+    With ``HEARTCASE_LIBRARY`` set to the folder of a build of ``sample_cases``, such as ``out``, what is up to date
+    there is not built again.
+    """
+    out = Path(os.environ.get("HEARTCASE_LIBRARY", tmp_path / "out")).absolute()
+    recipe = ROOT / "sample_cases" / "adult_phantom.toml"
+    if out == tmp_path / "out":
+        (tmp_path / "sample_cases").mkdir()
+        recipe = Path(shutil.copy(recipe, tmp_path / "sample_cases"))
+    assert main(["build", str(recipe), "--out", str(out)]) == 0
+    monkeypatch.chdir(tmp_path)
+    if out != tmp_path / "out":
+        (tmp_path / "out").symlink_to(out)
+    run_page(page, lambda _: (0, ""), kinds=("python",))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_what_a_page_points_to_is_there(page: Path) -> None:
     """Paths of the repository and commands that a page names exist."""
@@ -90,6 +116,21 @@ def test_what_a_page_points_to_is_there(page: Path) -> None:
         assert command in COMMANDS, command
     for target in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_case_is_built_where_it_is_read(page: Path) -> None:
+    """All but the one that ``make case`` builds; a build without ``--out`` writes into the current folder."""
+    built = {"adult-phantom"}
+    for example in examples_of(page):
+        if example.kind not in ("sh", "bash"):
+            continue
+        for line in re.sub(r"\\\n", " ", example.content).splitlines():
+            if "heartcase library build sample_cases --out out" in line:
+                built |= {path.stem.replace("_", "-") for path in (ROOT / "sample_cases").glob("*.toml")}
+            recipes = re.findall(r"heartcase build sample_cases/(\w+)\.toml --out out\b", line)
+            built |= {name.replace("_", "-") for name in recipes}
+            assert set(re.findall(r"\bout/([\w-]+)\.case\b", line)) <= built, f"{page.name}:{example.line}: {line}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
