@@ -114,7 +114,7 @@ def growcut(inputs: Inputs) -> Segmentation:
 
         kernel = itk.FastGrowCut
     except (ImportError, AttributeError):
-        raise MethodSkipped("it needs itk-growcut: pip install heartcase[bench]") from None
+        raise MethodSkipped("it needs itk-growcut: pip install '.[bench]'") from None
     spacing = list(inputs.filtered.geometry.spacing_mm)
     image = itk.image_from_array(inputs.filtered.values)
     seeds = itk.image_from_array(_seeds(inputs).astype(np.uint8))

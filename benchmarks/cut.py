@@ -107,7 +107,7 @@ def errors(inputs: Inputs, output: LatticeModel) -> dict[str, float]:
     try:
         wanted = truth(inputs.place / inputs.cells, inputs.depth / inputs.cells)
     except ImportError:
-        raise MethodSkipped("it needs scikit-fem: pip install heartcase[dev]") from None
+        raise MethodSkipped("it needs scikit-fem: pip install '.[dev]'") from None
     uncut = whole(inputs.cells, output.law)
     mass = uncut.node_mass.sum(dtype=float)
     return {

@@ -115,7 +115,7 @@ def trilinear(inputs: Inputs) -> Measured:
     try:
         from benchmarks.elasticity_peer import solve_trilinear
     except ImportError:
-        raise MethodSkipped("it needs scikit-fem: pip install heartcase[dev]") from None
+        raise MethodSkipped("it needs scikit-fem: pip install '.[dev]'") from None
     one = scene(inputs.scene, is_large=False)
     return Measured({one.quantity: solve_trilinear(one, int(inputs.cells), ForceLaw("element", inputs.ratio))})
 
@@ -240,7 +240,7 @@ def _made_truths(inputs: Inputs) -> Truths:
     try:
         from benchmarks import elasticity_truth as truth
     except ImportError:
-        raise MethodSkipped("it needs scikit-fem: pip install heartcase[dev]") from None
+        raise MethodSkipped("it needs scikit-fem: pip install '.[dev]'") from None
     if inputs.scene == "ventricle":
         both = truth.ventricle_truth(VENTRICLE_INNER, VENTRICLE_OUTER, inputs.ratio)
         names = ("apex displacement", "volume change")

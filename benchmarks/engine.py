@@ -95,7 +95,7 @@ def taichi(inputs: Inputs) -> Lattice:
     try:
         from benchmarks.engine_taichi import TaichiLattice
     except ImportError:
-        raise MethodSkipped("it needs taichi: pip install heartcase[bench]") from None
+        raise MethodSkipped("it needs taichi: pip install '.[bench]'") from None
     return _advanced(inputs, lambda: TaichiLattice(*inputs.neighbours, inputs.model.inverse_mass, inputs.verlet))
 
 
@@ -104,7 +104,7 @@ def warp(inputs: Inputs) -> Lattice:
     try:
         from benchmarks.engine_warp import WarpLattice
     except ImportError:
-        raise MethodSkipped("it needs warp-lang: pip install heartcase[bench]") from None
+        raise MethodSkipped("it needs warp-lang: pip install '.[bench]'") from None
     return _advanced(inputs, lambda: WarpLattice(*inputs.neighbours, inputs.model.inverse_mass, inputs.verlet))
 
 

@@ -72,7 +72,7 @@ def built_case(params: dict[str, Any]) -> Path:
     try:
         from benchmarks.build import build_phantom
     except ImportError:
-        raise MethodSkipped("it needs heartcase[prepare], or a case in HEARTCASE_CASE") from None
+        raise MethodSkipped("it needs the extra [prepare], or a case in HEARTCASE_CASE") from None
     return build_phantom(params, Path(tempfile.gettempdir()) / "heartcase-benchmark-case")
 
 

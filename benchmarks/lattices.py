@@ -51,7 +51,7 @@ def _made(node_count: int) -> dict[str, Any]:
         from heartcase.pipeline.cells.build_grid import build_grid
         from heartcase.schemas.recipe.settings import GridSettings
     except ImportError:
-        raise MethodSkipped("it needs heartcase[prepare], or HEARTCASE_LATTICES (see benchmarks.lattices)") from None
+        raise MethodSkipped("it needs the extra [prepare], or HEARTCASE_LATTICES (see benchmarks.lattices)") from None
     structures = prepare_geometry(SCAN | {"stage": "grid"}).structures
     grid = build_grid(structures, GridSettings(node_count=node_count))
     return {

@@ -150,6 +150,11 @@ class RecordingError(HeartcaseError):
     """A recording is broken, of another case, or does not repeat what it recorded; or a command is none."""
 
 
+def how_to_install(extra: str) -> str:
+    """The command that brings an extra of the package, which is on no index: from a checkout or a wheel."""
+    return f"run  pip install '.[{extra}]'  in heartcase's checkout, or  pip install 'THE.whl[{extra}]'  with its wheel"
+
+
 class MissingExtraError(HeartcaseError):
     """An optional part of heartcase is not installed.
 
@@ -162,7 +167,7 @@ class MissingExtraError(HeartcaseError):
     """
 
     def __init__(self, feature: str, extra: str) -> None:
-        super().__init__(f"{feature} needs an optional part: run  pip install 'heartcase[{extra}]'")
+        super().__init__(f"{feature} needs an optional part: {how_to_install(extra)}")
 
 
 class UnsupportedVersionError(HeartcaseError, ImportError):

@@ -34,7 +34,7 @@ Everything else is private and may change without notice. What is here changes o
 - Arrays of a volume are indexed `[z, y, x]`. Shapes are given as `(rows, columns)`.
 - Every error that a user can cause is a `HeartcaseError` with all `problems` that were found.
 - `import heartcase` loads none of it: each name is loaded at its first use. What makes cases from scans needs
-  `pip install 'heartcase[prepare]'`, what builds libraries `'heartcase[library]'`.
+  `pip install '.[prepare]'` in a checkout, what builds libraries `'.[library]'`.
 
 Made from the docstrings by `python -m tests.docs.api_page --write`.
 """

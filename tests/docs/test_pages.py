@@ -133,6 +133,13 @@ def test_a_case_is_built_where_it_is_read(page: Path) -> None:
             assert set(re.findall(r"\bout/([\w-]+)\.case\b", line)) <= built, f"{page.name}:{example.line}: {line}"
 
 
+def test_nothing_is_installed_by_name() -> None:
+    """heartcase is on no package index: it is installed from a checkout, or from a wheel."""
+    code = [path for top in ("heartcase", "benchmarks") for path in (ROOT / top).rglob("*.py")]
+    for path in [*PAGES, *code, ROOT / "tests" / "docs" / "api_page.py"]:
+        assert not re.search(r"install [\"']?heartcase\b", path.read_text(encoding="utf-8")), path
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_no_example_approves_unasked(page: Path) -> None:
     """``--yes`` passes over the question about warnings that the anatomy may be wrong."""

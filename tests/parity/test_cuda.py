@@ -272,7 +272,7 @@ def test_without_a_device_the_message_says_what_to_do():
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "SimulationError" in done.stderr
-    assert "heartcase[cuda]" in done.stderr.splitlines()[-1]
+    assert "pip install '.[cuda]'" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.skipif(IS_SIMULATED, reason="there is no CUDA device")

@@ -130,5 +130,5 @@ def test_plain_install_loads_steps_and_says_what_is_missing(case_path, tmp_path)
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     assert "steps" in done.stdout
-    assert "heartcase[prepare]" in done.stderr
+    assert "pip install '.[prepare]'" in done.stderr
     assert not (tmp_path / "a.png").exists()

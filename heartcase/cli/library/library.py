@@ -18,7 +18,7 @@ from heartcase.cli.shared.output_path import OutputPath
 from heartcase.library.plan import CaseRecord, LibraryCase, read_record, skipped_words
 from heartcase.pipeline.warnings import WarningGrade, counted
 from heartcase.schemas.bundle.placing import refuse_inside_case
-from heartcase.schemas.errors import Problem, UsageError
+from heartcase.schemas.errors import Problem, UsageError, how_to_install
 
 __all__ = ["command"]
 
@@ -105,7 +105,7 @@ def build(
                 if has_dashboard():
                     say(f"dashboard: {client.dashboard_link}")
                 else:
-                    say("no dashboard: it needs bokeh, which  pip install 'heartcase[library]'  brings")
+                    say(f"no dashboard: it needs bokeh: {how_to_install('library')}")
                 shown = LibraryProgress(console, len(stale), local.count if local else sum(client.nthreads().values()))
                 # Elsewhere, each worker compiles in its own cache what it needs.
                 processes = local.count * local.thread_count if local is not None else 0

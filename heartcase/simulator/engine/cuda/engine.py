@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from heartcase.schemas.arrays import Float32, Float64, Intp
-from heartcase.schemas.errors import SimulationError
+from heartcase.schemas.errors import SimulationError, how_to_install
 from heartcase.simulator.dynamics.integrate import Verlet
 from heartcase.simulator.engine.cuda.cells import CellsOnDevice, plain_launch
 from heartcase.simulator.engine.shared.contact import NO_PROBES, moved_on
@@ -416,7 +416,10 @@ def _cuda() -> Any:
     SimulationError
         It does not.
     """
-    remedy = "install heartcase[cuda] on a machine with an NVIDIA GPU and its driver, or choose the backend 'cpu'"
+    remedy = (
+        "choose the backend 'cpu', or take a machine with an NVIDIA GPU and its driver and the extra [cuda]: "
+        + how_to_install("cuda")
+    )
     try:
         from numba import cuda
     except (ImportError, OSError, RuntimeError) as error:
@@ -443,7 +446,7 @@ def _check_library() -> None:
         importlib.import_module("numba.cuda.cudaimpl")
     except AttributeError as error:
         raise SimulationError(
-            f"numba-cuda does not know NumPy {np.__version__} ({error}): run  pip install 'heartcase[cuda]'",
+            f"numba-cuda does not know NumPy {np.__version__} ({error}): {how_to_install('cuda')}",
             place="backend",
         ) from None
 
