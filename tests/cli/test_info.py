@@ -89,6 +89,18 @@ def test_case_is_described(tmp_path, capsys):
     assert "Look at this (1 warning)\n  - A warning for the reader.\n" in out
 
 
+def test_the_two_limits_of_the_step_are_told_apart(capsys):
+    """What holds for every lattice of such cells, which a case states, and the higher one of its own lattice."""
+    case = Path(__file__).parents[1] / "golden" / "lopsided.case"
+    assert main(["info", str(case)]) == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("Largest step"))
+    assert line.rstrip().endswith("ms (stable at rest for any lattice of such cells)")
+    assert main(["simulate", str(case), "--seconds", "0.002"]) == 0
+    (own,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("Step "))
+    assert " ms (this lattice at rest is stable up to " in own
+    assert float(line.split()[2]) <= float(own.partition("up to ")[2].split()[0])
+
+
 def test_recipe_is_described_with_and_without_its_scan(tmp_path, capsys):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(RECIPE)

@@ -284,7 +284,7 @@ def _show_case(facts: dict[str, Any]) -> None:
         ("Grid", f"{simulation.node_count:,} nodes, {simulation.cell_count:,} cells of {simulation.cell_mm:.2f} mm"),
         ("Held fixed", f"{simulation.fixed_node_count:,} nodes"),
         ("Time step", f"{1e3 * simulation.step_default_s:.3f} ms ({simulation.steps_per_second:,.0f} steps a second)"),
-        ("Largest step", f"{1e3 * simulation.step_limit_s:.3f} ms (stable at rest)"),
+        ("Largest step", f"{1e3 * simulation.step_limit_s:.3f} ms (stable at rest for any lattice of such cells)"),
         ("Landmarks", ", ".join(facts["landmarks"]) or "none"),
     ]
     print_facts(rows, title=f"Case {facts['name']}")

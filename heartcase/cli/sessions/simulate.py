@@ -238,8 +238,8 @@ def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:
     yield f"Law        {case.model.law.name}, Poisson's ratio {case.model.law.poissons_ratio:g}"
     yield f"Surface    {summary.triangle_count:,} triangles"
     yield (
-        f"Step       {summary.step_s * 1e3:.4f} ms (at rest stable up to {summary.step_limit_s * 1e3:.4f} ms), "
-        f"{summary.step_count:,} steps"
+        f"Step       {summary.step_s * 1e3:.4f} ms "
+        f"(this lattice at rest is stable up to {summary.step_limit_s * 1e3:.4f} ms), {summary.step_count:,} steps"
         + (f", taken in up to {summary.step_s * summary.pace * 1e3:.4f} ms at once" if summary.pace > 1.0 else "")
     )
     yield (
