@@ -15,6 +15,7 @@ import pytest
 from heartcase.cli.main import main
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.studio.serving.serve import listening
+from heartcase.studio.starting.registry import Left, Registry
 from tests.cli.small_case import write_case, write_scan
 from tests.studio.talking import write_recipe
 
@@ -43,7 +44,7 @@ def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending, monkeypatch)
 
 def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch, capsys):
     served = []
-    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda recipe, **_: served.append(recipe))
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda recipe, **_: served.append(recipe) or Left())
     scan, recipe = write_scan(tmp_path / "scan.nii.gz"), tmp_path / "mine.toml"
     assert main(["studio", str(scan), "--recipe", str(recipe), "--no-browser"]) == 0
     assert served == [recipe]
@@ -57,7 +58,7 @@ def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch
 
 def test_what_is_given_says_what_opens_first(tmp_path, monkeypatch):
     served = []
-    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda **given: served.append(given))
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda **given: served.append(given) or Left())
     recipe, _ = write_recipe(tmp_path)
     case, _ = write_case(tmp_path)
     for path, first in (
@@ -68,6 +69,37 @@ def test_what_is_given_says_what_opens_first(tmp_path, monkeypatch):
     ):
         assert main(["studio", *([str(path)] if path else []), "--no-browser"]) == 0
         assert {key: value for key, value in served[-1].items() if isinstance(value, Path) and key != "out"} == first
+
+
+@pytest.mark.parametrize(
+    ("left", "lines"),
+    [
+        (Left(), ["The studio is closed."]),
+        (Left(recipe_count=1), ["The studio is closed; the recipe holds every stroke."]),
+        (Left(case_count=1), ["The studio is closed.", "No recording was written."]),
+        (
+            Left(2, 1, (Path("a.recording"), Path("b.recording"))),
+            ["The studio is closed; the recipes hold every stroke.", "Recorded: a.recording", "Recorded: b.recording"],
+        ),
+    ],
+)
+def test_its_end_says_what_is_left(monkeypatch, capsys, left, lines):
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda **_: left)
+    assert main(["studio", "--no-browser"]) == 0
+    assert capsys.readouterr().out.splitlines() == lines
+
+
+def test_recordings_that_came_while_a_case_was_open_are_known(tmp_path):
+    registry = Registry("token")
+    assert registry.left() == Left()
+    (tmp_path / "old.recording").mkdir()
+    registry.open_case(tmp_path / "a.case")
+    (tmp_path / "new.recording").mkdir()
+    registry.open_case(tmp_path / "b.case")
+    registry.open_case(tmp_path / "gone" / "c.case")
+    registry.open_recipe(tmp_path / "a.toml", out=tmp_path)
+    asyncio.run(registry.close())
+    assert registry.left() == Left(1, 3, (tmp_path / "new.recording",))
 
 
 def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys, monkeypatch):

@@ -17,6 +17,9 @@ from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 
 __all__ = ["command"]
 
+_LEFT = ("", "; the recipe holds every stroke", "; the recipes hold every stroke")
+"""What is so when none, one or more recipes were open."""
+
 
 @click.command()
 @click.argument("path", required=False, type=click.Path(path_type=Path, readable=False))
@@ -57,8 +60,12 @@ def command(
         if browser:
             webbrowser.open(address)
 
-    serve(**opening, out=out, port=port, ready=ready)
-    click.echo("The studio is closed; the recipe holds every stroke.")
+    left = serve(**opening, out=out, port=port, ready=ready)
+    click.echo(f"The studio is closed{_LEFT[min(left.recipe_count, 2)]}.")
+    for recording in left.recordings:
+        click.echo(f"Recorded: {recording}")
+    if left.case_count and not left.recordings:
+        click.echo("No recording was written.")
 
 
 def _opening(path: Path, recipe: Path | None, choice: dict[str, Any]) -> dict[str, Path]:

@@ -14,7 +14,7 @@ from heartcase.schemas.errors import UsageError
 from heartcase.studio.asking import REQUEST_SIZE_MAX
 from heartcase.studio.serving.allocator import allocate_from_one_heap
 from heartcase.studio.serving.app import make_app
-from heartcase.studio.starting.registry import Registry
+from heartcase.studio.starting.registry import Left, Registry
 from heartcase.studio.starting.start import Start
 
 __all__ = ["ADDRESS", "listening", "serve"]
@@ -32,8 +32,8 @@ def serve(
     out: Path,
     port: int,
     ready: Callable[[str], None],
-) -> None:
-    """Serve the studio's pages, until the process is interrupted.
+) -> Left:
+    """Serve the studio's pages, until the process is interrupted; what it leaves then.
 
     Parameters
     ----------
@@ -84,6 +84,7 @@ def serve(
         ready(f"http://{ADDRESS}:{port}{address}?token={token}")
         with contextlib.suppress(KeyboardInterrupt):
             uvicorn.Server(config).run(sockets=[listener])
+    return registry.left()
 
 
 def listening(port: int) -> socket.socket:

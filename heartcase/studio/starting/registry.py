@@ -16,7 +16,7 @@ from heartcase.studio.operating.theatre import Origin, Theatre
 from heartcase.studio.pages import Place
 from heartcase.studio.painting.workplace import Workplace
 
-__all__ = ["Opened", "Registry"]
+__all__ = ["Left", "Opened", "Registry"]
 
 _KEY_LENGTH = 12
 
@@ -40,6 +40,18 @@ class Opened:
         return f"/{self.page}/{self.key}"
 
 
+@dataclass(frozen=True)
+class Left:
+    """What a run of the studio leaves, for whoever ends it."""
+
+    recipe_count: int = 0
+    """Recipes that were opened; each holds its strokes."""
+    case_count: int = 0
+    """Cases that were opened to be operated on."""
+    recordings: tuple[Path, ...] = ()
+    """Recordings that were written meanwhile."""
+
+
 class Registry:
     """What is open. All methods belong to one event loop, or come before it starts.
 
@@ -52,6 +64,8 @@ class Registry:
     def __init__(self, token: str) -> None:
         self._token = token
         self._opened: dict[str, Opened] = {}
+        self._keys: dict[str, set[str]] = {"prepare": set(), "operate": set()}
+        self._there: dict[Path, set[Path]] = {}
 
     def open_recipe(self, path: Path, *, out: Path) -> Opened:
         """Open a recipe, or find it where it is open.
@@ -69,6 +83,7 @@ class Registry:
             building = Building(path, out=out, operate=lambda case: self.open_case(case, origin=origin).address)
             places: dict[str, Place] = {"socket": Workplace(path, out=out), "building": building}
             self._opened[key] = Opened("prepare", key, path, places)
+            self._keys["prepare"].add(key)
         return self._opened[key]
 
     def open_case(self, path: Path, *, out: Path | None = None, origin: Origin | None = None) -> Opened:
@@ -86,6 +101,8 @@ class Registry:
         key = self._key("operate", path)
         if key not in self._opened:
             folder = path.parent if out is None else out
+            self._there.setdefault(folder, set(_recordings(folder)))
+            self._keys["operate"].add(key)
             # a second session on it, for two recordings side by side: it is begun when a page asks for it
             places = {name: Theatre(path, out=folder, page_of=fitting_page_of) for name in ("operating", "beside")}
             self._opened[key] = Opened("operate", key, path, places)
@@ -104,6 +121,11 @@ class Registry:
         found = self._opened.get(key)
         return None if found is None else found.places.get(line)
 
+    def left(self) -> Left:
+        """What was opened so far, and the recordings that have come since into the folders of the cases."""
+        new = [path for folder, before in self._there.items() for path in _recordings(folder) if path not in before]
+        return Left(len(self._keys["prepare"]), len(self._keys["operate"]), tuple(sorted(new)))
+
     async def close(self) -> None:
         """Close all that is open; what is not saved yet is saved."""
         closing = [place.close() for opened in self._opened.values() for place in opened.places.values()]
@@ -115,3 +137,10 @@ class Registry:
             self._token.encode(), f"{page}\0{path.resolve()}".encode(errors="surrogateescape"), hashlib.sha256
         )
         return base64.urlsafe_b64encode(made).decode()[:_KEY_LENGTH]
+
+
+def _recordings(folder: Path) -> list[Path]:
+    try:
+        return [path for path in folder.iterdir() if path.suffix == ".recording"]
+    except OSError:
+        return []
