@@ -209,6 +209,16 @@ def test_a_build_shows_its_stages_and_its_warnings_lead_to_their_places(page, fo
     tab.locator("#build-age[data-age=older]").wait_for(timeout=10_000)
     (folder / "ball.toml").write_text(text)
     tab.locator("#build-age[data-age=current]").wait_for(timeout=10_000)
+    # another build is compared with it
+    assert page.text("#build-changed").startswith("The case is new.")
+    assert not any(tab.locator("#volume-rows td:last-child").all_inner_texts())
+    (folder / "ball.toml").write_text(text + STROKE)
+    tab.locator("#build-age[data-age=older]").wait_for(timeout=10_000)
+    tab.locator("#build").click()
+    tab.locator("#build-changed").get_by_text("The case is another than before").wait_for(timeout=180_000)
+    changes = tab.locator("#volume-rows td:last-child").all_inner_texts()
+    assert len(changes) == 2
+    assert all(re.fullmatch(r"0\.0|[+\u2212]\d+\.\d", one) for one in changes)
     # and from here it is operated on
     tab.route("**/operate/*", lambda route: route.fulfill(body="the case"))
     tab.locator("#operate").click()

@@ -141,11 +141,12 @@ export class BuildTab {
   }
 
   /** What the last build did, in a line. @param {State} state */
-  #outcome({ is_cancelled: isCancelled, changed, steps }) {
+  #outcome({ is_cancelled: isCancelled, changed, steps, before_ml: beforeMl }) {
     if (isCancelled) return say("build_cancelled");
     if (changed === null) return "";
     const computed = steps.filter(({ state }) => state === "computed").map(({ stage }) => title(stage));
-    return changed ? say("build_changed", { stages: computed.join(", ") }) : say("build_unchanged");
+    if (!changed) return say("build_unchanged");
+    return say(Object.keys(beforeMl).length > 0 ? "build_changed" : "build_first", { stages: computed.join(", ") });
   }
 
   #tellTime() {

@@ -196,7 +196,8 @@ export class Results {
     const rows = Object.entries(volumes).map(([name, ml]) => {
       const row = element("tr");
       const before = this.#beforeMl[name];
-      const change = before === undefined || Math.abs(ml - before) < 0.05 ? "" : `${ml > before ? "+" : "−"}${figure(Math.abs(ml - before), 1)}`;
+      const sign = before === undefined || Math.abs(ml - before) < 0.05 ? "" : ml > before ? "+" : "−";
+      const change = before === undefined ? "" : `${sign}${figure(sign ? Math.abs(ml - before) : 0, 1)}`;
       const head = element("th", "", short(name));
       head.scope = "row";
       row.append(head, element("td", "n", figure(ml, 1)), element("td", "n", change));
