@@ -32,10 +32,11 @@ from heartcase.cli.shared.sessions import (
     template_files,
     with_law,
 )
-from heartcase.schemas.arrays import UInt8
+from heartcase.schemas.arrays import Float64, UInt8
 from heartcase.schemas.bundle.approval import approval_state
 from heartcase.schemas.bundle.format import LEVEL_MAX
 from heartcase.schemas.errors import UsageError
+from heartcase.schemas.scripts.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
 from heartcase.simulator.lattice.loose_nodes import tissue_displacement
 from heartcase.simulator.lattice.moduli import LawName
@@ -61,6 +62,9 @@ _OUT = OutputPath(dir_okay=False)
 @click.option("--animation", type=_OUT, help="Write an animation here (.gif, .mp4).")
 @click.option("--picture", type=_OUT, help="Write a picture of start and furthest deformation (.png).")
 @click.option(
+    "--near-cuts", is_flag=True, help="Look at the script's cuts from close by, from where the blade came from."
+)
+@click.option(
     "--templates",
     type=OutputPath(is_folder=True),
     help="Write the outline of each patch here, flat and to scale (NAME.svg, NAME.pdf).",
@@ -79,6 +83,7 @@ def command(
     surface_out: Path | None,
     animation: Path | None,
     picture: Path | None,
+    near_cuts: bool,
     templates: Path | None,
     as_json: bool,
 ) -> None:
@@ -89,6 +94,7 @@ def command(
     check_numbers(seconds=seconds, step_s=step_s, poissons_ratio=poissons_ratio, sleep_mm=sleep_mm)
     _check_names(surface_out, animation, picture)
     script = load_script(script_path) if script_path is not None else None
+    blades_mm = _blades(script, near_cuts, is_drawn=animation is not None or picture is not None)
     curvature = script.curvature if script else "flagged"
     needs: tuple[Need, ...] = ("surface", "colours")
     if script is not None and needs_tissue(script):
@@ -102,7 +108,7 @@ def command(
         simulation = simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm)
     case_id, approval = loaded.manifest.case_id, approval_state(case)
     film_every = max(1, round(script.frames_per_second / FILM_FRAMES_PER_SECOND)) if animation is not None else 0
-    camera = _filmer(loaded) if animation is not None or picture is not None else None
+    camera = _filmer(loaded, blades_mm) if animation is not None or picture is not None else None
     with session_bar("simulating", script.seconds) as tell:
         audience = _Audience(
             camera,
@@ -223,9 +229,28 @@ def _check_names(surface: Path | None, animation: Path | None, picture: Path | N
             require_folder(path)
 
 
-def _filmer(case: Case) -> Filmer:
+def _blades(script: SimulationScript | None, near_cuts: bool, *, is_drawn: bool) -> list[Float64]:
+    """Where the blades of a script go, LPS mm, each (pose_count, point_count, 3), if they are to be looked at.
+
+    Raises
+    ------
+    UsageError
+        They are, and nothing is drawn or no blade's way is told in places.
+    """
+    if not near_cuts:
+        return []
+    whole = [[pose for pose in cut.poses_mm if None not in pose] for cut in (script.cuts if script is not None else ())]
+    blades = [np.asarray(poses, dtype=float) for poses in whole if poses]
+    if not is_drawn:
+        raise UsageError("there is nothing to look at: give --animation or --picture too", place="--near-cuts")
+    if not blades:
+        raise UsageError("needs a --script with [[cuts]] whose poses are places", place="--near-cuts")
+    return blades
+
+
+def _filmer(case: Case, blades_mm: list[Float64]) -> Filmer:
     assert case.surface is not None
-    return Filmer(case.surface.rest_mm)
+    return Filmer(case.surface.rest_mm, blades_mm=blades_mm)
 
 
 def _lines(case: Case, summary: SessionSummary) -> Iterator[str]:

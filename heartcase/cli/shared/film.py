@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from heartcase.schemas.arrays import Float32, Int32, UInt8
+from heartcase.schemas.arrays import Float32, Float64, Int32, UInt8
 from heartcase.schemas.errors import MissingExtraError, UsageError
 from heartcase.schemas.files import atomic_write
 from heartcase.simulator.patching.sewn_mesh import SewnMesh, sewn_mesh
@@ -38,6 +39,8 @@ CUT_FACE_COLOUR = (150, 40, 45)
 """Red, green, blue of walls that a blade made."""
 _FROM_LEFT_FRONT = (0.45, -1.0, 0.25)
 """Direction from the heart to the camera, LPS: front, somewhat left and above."""
+_AROUND = 1.3
+"""What of the heart is in the frame of some blades: as far across as their ends lie apart, times this."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,9 @@ class Filmer:
         Vertices at rest, LPS mm, shape (vertex_count, 3): they set the frame.
     size
         Width and height in pixels; whole multiples of 16 for MP4.
+    blades_mm
+        Where blades go, LPS mm, each of shape (pose_count, point_count, 3): where there are some, they set the frame
+        and the camera stands where they came from.
 
     Raises
     ------
@@ -82,7 +88,9 @@ class Filmer:
         What draws is not installed.
     """
 
-    def __init__(self, rest_mm: Float32, *, size: tuple[int, int] = (720, 608)) -> None:
+    def __init__(
+        self, rest_mm: Float32, *, size: tuple[int, int] = (720, 608), blades_mm: Sequence[Float64] = ()
+    ) -> None:
         try:
             import PIL.Image  # noqa: F401
 
@@ -93,7 +101,9 @@ class Filmer:
         centre = (rest_mm.min(axis=0) + rest_mm.max(axis=0)) / 2
         # Room for the tissue that a hand pulls out of the frame of the tissue at rest.
         roomy = centre + 1.25 * (np.asarray(rest_mm, dtype=float) - centre)
-        self._camera = camera_for(roomy, towards=_FROM_LEFT_FRONT, up=(0.0, 0.0, 1.0), size=size, margin=0.02)
+        shown, towards = (roomy, _FROM_LEFT_FRONT) if not blades_mm else _above(blades_mm, centre)
+        up = (0.0, 0.0, 1.0) if abs(towards[2]) < 0.98 else (0.0, -1.0, 0.0)
+        self._camera = camera_for(shown, towards=towards, up=up, size=size, margin=0.02)
 
     def take(self, seen: Seen) -> UInt8:
         """A picture, shape (height, width, 3)."""
@@ -109,6 +119,26 @@ class Filmer:
     def film(self, seen: Seen) -> None:
         """Keep a picture as the next frame."""
         self.frames.append(self.take(seen))
+
+
+def _above(blades_mm: Sequence[Float64], centre_mm: Float64) -> tuple[Float64, tuple[float, float, float]]:
+    """Corners of a box around the outer ends of some blades, and the direction that they came from.
+
+    The outer end of a blade is the one that lies farther from the middle of the heart.
+    """
+    ends = [np.asarray(blade, dtype=float)[:, [0, -1]] for blade in blades_mm]
+    ends = [one if _distance(one[:, 0], centre_mm) >= _distance(one[:, 1], centre_mm) else one[:, ::-1] for one in ends]
+    outer, inner = (np.concatenate([one[:, which] for one in ends]) for which in (0, 1))
+    towards = (outer - inner).mean(axis=0)
+    length = float(np.linalg.norm(towards))
+    x, y, z = towards / length if length > 1e-6 else _FROM_LEFT_FRONT
+    half = _AROUND * max(float(np.ptp(outer, axis=0).max()), 1.0) / 2
+    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
+    return (outer.min(axis=0) + outer.max(axis=0)) / 2 + half * corners, (float(x), float(y), float(z))
+
+
+def _distance(points_mm: Float64, centre_mm: Float64) -> float:
+    return float(np.linalg.norm(points_mm.mean(axis=0) - centre_mm))
 
 
 def write_picture(path: Path | str, picture: UInt8, *, comment: str = "") -> None:

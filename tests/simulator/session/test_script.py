@@ -167,6 +167,8 @@ def test_command_prints_a_summary_and_writes_the_surface(case_path, tmp_path, ca
         (["--picture", "end.txt"], 2, ".png"),
         (["--surface", "nowhere/at/all/end.ply"], 2, "folder"),
         (["--script", "absent.toml"], 1, "no such file"),
+        (["--near-cuts"], 2, "nothing to look at"),
+        (["--near-cuts", "--picture", "end.png"], 2, "[[cuts]]"),
         (["--seconds", "-1"], 2, "range"),
     ],
 )
@@ -193,6 +195,34 @@ def test_animation_and_picture_show_the_deformation(case_path, tmp_path, capsys)
     tissue = pixels[(pixels < 250).any(axis=2)].astype(int)
     assert len(tissue) > 5000
     assert (tissue[:, 0] >= tissue[:, 2]).mean() > 0.95
+
+
+def test_cuts_are_looked_at_from_close_by_and_from_where_the_blade_came(case_path, tmp_path, capsys):
+    image = pytest.importorskip("PIL.Image")
+    surface = load_case(case_path).surface
+    low, high = surface.rest_mm.min(axis=0), surface.rest_mm.max(axis=0)
+    x, y, z = ((low + high) / 2).tolist()
+    script = tmp_path / "cut.toml"
+    # From the top down into the middle: the inner end of the blade comes first.
+    poses = [
+        [[x - 4.0, y, z], [x - 4.0, y, float(high[2]) + 1.0]],
+        [[x + 4.0, y, z], [x + 4.0, y, float(high[2]) + 1.0]],
+    ]
+    pull = PULL.replace("position_mm = [20.5, -14.0, 40.5]", f"position_mm = {[x, y + 3.0, float(high[2]) - 1.0]}")
+    script.write_text(
+        f"{pull.replace('[0, 0, 2.0]', '[0, 4.0, 0]')}\n[[cuts]]\ntime_s = 0.01\n"
+        f"poses_mm = {np.asarray(poses, float).tolist()}\n".replace("radius_mm = 5.0", "radius_mm = 4.0")
+    )
+    shown = {}
+    for name, options in {"far": (), "near": ("--near-cuts",)}.items():
+        film = tmp_path / f"{name}.gif"
+        arguments = ["--script", str(script), "--animation", str(film), *options]
+        assert main(["simulate", str(case_path), *arguments]) == 0
+        with image.open(film) as frames:
+            shown[name] = np.array(frames.convert("RGB"), int)
+    white = {name: float((pixels == 255).all(axis=2).mean()) for name, pixels in shown.items()}
+    assert white["far"] > 0.3
+    assert white["near"] < 0.05  # the box around the cut is narrower than the top that is looked at
 
 
 def test_interrupted_session_leaves_nothing(case_path, tmp_path, monkeypatch, capsys):
