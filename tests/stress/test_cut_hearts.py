@@ -1,4 +1,4 @@
-"""Random cuts into moving hearts of the sample library: 1,000 scripts, in parts.
+"""Random cuts into moving hearts: 25 scripts on a coarse one, 1,000 on those of the sample library, in parts.
 
 ``HEARTCASE_LIBRARY`` names the folder of a build of ``sample_cases``, such as ``out``; a case that is not in it is left
 out. All of them, those of one heart, and ten of them:
@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from heartcase.cli.main import main
 from heartcase.simulator.lattice.moduli import ForceLaw
 from heartcase.simulator.load import load_case
 from heartcase.simulator.simulation import Simulation
@@ -24,6 +25,12 @@ from tests.stress.cut_scripts import operate, random_blade
 
 SAMPLES = Path(__file__).parents[2] / "sample_cases"
 LIBRARY = os.environ.get("HEARTCASE_LIBRARY")
+COARSE = {
+    "spacing_mm = [1.75, 1.75, 1.75]": "spacing_mm = [2.5, 2.5, 2.5]",
+    "[about]\n": "[grid]\nnode_count = 6000\n\n[surface]\ntriangle_count = 16000\n\n[about]\n",
+}
+"""What makes the adult phantom's recipe one that is built in seconds."""
+COARSE_SCRIPTS = 25
 SCRIPTS, PARTS = 50, 5
 """Scripts of each heart, and the parts that they come in."""
 TURNED_MAX = 0.05
@@ -58,6 +65,29 @@ def run(case, seed):
     return operate(simulation, rng, blades, hand_mm=middle, turned_max=TURNED_MAX)
 
 
+def check(case, seeds):
+    ends = [run(case, seed) for seed in seeds]
+    assert sum(end.refused_count for end in ends) == 0
+    assert max(end.cut_face_count for end in ends) > 0
+    assert max(end.elastic_rise for end in ends) < 0.25
+    assert max(end.mixed_rise for end in ends) < 0.5
+
+
+@pytest.mark.usefixtures("plain_reports")
+def test_random_cuts_into_a_coarse_heart(tmp_path):
+    text = (SAMPLES / "adult_phantom.toml").read_text()
+    for fine, coarse in COARSE.items():
+        assert text.count(fine) == 1
+        text = text.replace(fine, coarse)
+    recipe = tmp_path / "recipes" / "adult_phantom.toml"
+    recipe.parent.mkdir()
+    recipe.write_text(text)
+    assert main(["build", str(recipe), "--out", str(tmp_path)]) == 0
+    case = load_case(tmp_path / "adult-phantom.case", needs=("surface", "tissue"), level=1)
+    assert 4_000 < len(case.model.rest_positions_mm()) < 8_000
+    check(case, range(COARSE_SCRIPTS))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(PARTS))
 @pytest.mark.parametrize("name", hearts())
@@ -68,11 +98,7 @@ def test_random_cuts_into_hearts(name, part):
     case = load_case(path, needs=("surface", "tissue"), level=2)
     count = SCRIPTS // PARTS
     first = SCRIPTS * hearts().index(name) + part * count
-    ends = [run(case, seed) for seed in range(first, first + count)]
-    assert sum(end.refused_count for end in ends) == 0
-    assert max(end.cut_face_count for end in ends) > 0
-    assert max(end.elastic_rise for end in ends) < 0.25
-    assert max(end.mixed_rise for end in ends) < 0.5
+    check(case, range(first, first + count))
 
 
 def test_there_are_a_thousand_scripts():
