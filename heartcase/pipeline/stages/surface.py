@@ -19,7 +19,7 @@ def _compute(work: Work) -> Surface:
 
 STAGE = Stage(
     name="surface",
-    version=13,
+    version=14,
     title="surface and normal map",
     deed="make the visible surface",
     subject="visible surface",

@@ -18,13 +18,16 @@ from heartcase.pipeline.mesh.triangles.half_edges import connected_parts, opposi
 from heartcase.schemas.arrays import Bool, Float64, Int32, Int64, UInt8
 from heartcase.schemas.geometry import Geometry
 
-__all__ = ["CUT", "TriangleTags", "cut_faces", "tag_keys", "tag_triangles"]
+__all__ = ["CUT", "TriangleTags", "cut_faces", "shorter_borders", "tag_keys", "tag_triangles"]
 
 
 CUT = 256
 """Key of a cut face; other keys are labels."""
 ISLAND_TRIANGLES = 8
 ISLAND_ROUNDS = 4
+BORDER_ROUNDS = 4
+"""So many triangles may a border give way by."""
+LEAST_GAIN_MM = 1e-6
 CUT_COSINE = 0.9
 CHUNK = 1024
 
@@ -44,6 +47,8 @@ class TriangleTags:
 def tag_triangles(reader: FieldReader, vertices: Float64, triangles: Int32, lattice: Geometry) -> TriangleTags:
     """Look a third of a lattice cell to both sides of each triangle; islands take their neighbours' tag.
 
+    Borders between tags, which the triangles' middles make jagged, are shortened (:func:`shorter_borders`).
+
     Parameters
     ----------
     reader
@@ -60,8 +65,56 @@ def tag_triangles(reader: FieldReader, vertices: Float64, triangles: Int32, latt
     beside = opposites(triangles)
     is_cut = cut_faces(reader.structures, vertices, triangles, lattice)
     key = _without_islands(np.where(is_cut, CUT, void.astype(np.int64)), vertices, triangles, beside)
-    behind = _without_islands(tissue.astype(np.int64), vertices, triangles, beside).astype(np.uint8)
-    return TriangleTags(np.where(key == CUT, 0, key).astype(np.uint8), behind, key == CUT)
+    behind = _without_islands(tissue.astype(np.int64), vertices, triangles, beside)
+    key = shorter_borders(key, key == CUT, vertices, triangles, beside)
+    behind = shorter_borders(behind, key == CUT, vertices, triangles, beside)
+    return TriangleTags(np.where(key == CUT, 0, key).astype(np.uint8), behind.astype(np.uint8), key == CUT)
+
+
+def shorter_borders(tag: Int64, is_kept: Bool, vertices: Float64, triangles: Int32, opposite: Int32) -> Int64:
+    """Tags with which the borders between them are shorter.
+
+    A triangle takes the tag of a neighbour where that makes the border shorter at once, the lengths of its edges
+    counted: of neighbours that would, the one that gains most (ties: the lower number). So a border gives way by a
+    triangle in each of a few rounds, and no part of it grows longer.
+
+    Parameters
+    ----------
+    tag
+        Shape (triangle_count,).
+    is_kept
+        Triangles whose tag stays and is not handed on, shape (triangle_count,).
+    vertices, triangles
+        A closed manifold mesh.
+    opposite
+        Opposite half-edges, shape (3 triangle_count,).
+
+    Returns
+    -------
+    Int64
+        Shape (triangle_count,).
+    """
+    tag = tag.copy()
+    beside = opposite.reshape(-1, 3) // 3
+    corners = vertices[triangles]
+    length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    for _ in range(BORDER_ROUNDS):
+        at = np.flatnonzero((tag[beside] != tag[:, None]).any(axis=1) & ~is_kept)
+        own, around, edge = tag[at][:, None], tag[beside[at]], length[at]
+        shared = np.where(around[:, None] == around[:, :, None], edge[:, None], 0.0).sum(axis=2)
+        gain = shared - np.where(around == own, edge, 0.0).sum(axis=1)[:, None]
+        gain[(around == own) | is_kept[beside[at]]] = -np.inf
+        best = gain.argmax(axis=1)
+        rows = np.arange(len(at))
+        most = np.zeros(len(tag))
+        most[at] = np.where(gain[rows, best] > LEAST_GAIN_MM, gain[rows, best], 0.0)
+        rivals = most[beside[at]]
+        is_first = (rivals < most[at][:, None]) | ((rivals == most[at][:, None]) & (beside[at] > at[:, None]))
+        taken = (most[at] > 0.0) & is_first.all(axis=1)
+        if not taken.any():
+            break
+        tag[at[taken]] = around[rows, best][taken]
+    return tag
 
 
 def tag_keys(mesh: FullMesh, is_cut: Bool, opposite: Int32) -> Int64:
