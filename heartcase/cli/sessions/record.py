@@ -8,6 +8,7 @@ import click
 
 from heartcase.cli.shared.output import echo_json, working
 from heartcase.cli.shared.output_path import OutputPath
+from heartcase.cli.shared.recordings import recorded_into
 from heartcase.cli.shared.sessions import (
     check_numbers,
     completed_script,
@@ -65,7 +66,8 @@ def command(
     """Run a scripted session on CASE and record it: every command with its step, and states now and then.
 
     'heartcase replay' repeats it to the same bytes, and goes on from any moment; 'heartcase export --recording' makes
-    an animation of it. Without --script a hand pulls as in 'heartcase simulate'.
+    an animation of it. Without --script a hand pulls as in 'heartcase simulate'. Where Ctrl-C or an error ends it
+    early, what was recorded by then is kept.
     """
     check_numbers(
         seconds=seconds, step_s=step_s, poissons_ratio=poissons_ratio, sleep_mm=sleep_mm, state_every_s=state_every_s
@@ -83,13 +85,8 @@ def command(
         script = completed_script(script, loaded, seconds, step_s)
         session = OperatingSession(simulation_of(loaded, script, backend=backend, sleep_mm=sleep_mm))
     recorder = Recorder(session, output, case=loaded.manifest, state_every_s=state_every_s)
-    try:
-        with session_bar("recording", script.seconds) as tell:
-            run_script(session, script, on_frame=lambda _, time_s: tell(time_s))
-        recorder.finish()
-    except BaseException:
-        recorder.discard()
-        raise
+    with recorded_into(recorder), session_bar("recording", script.seconds) as tell:
+        run_script(session, script, on_frame=lambda _, time_s: tell(time_s))
     recording = open_recording(output)
     if as_json:
         echo_json(

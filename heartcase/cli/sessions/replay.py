@@ -11,6 +11,7 @@ import click
 
 from heartcase.cli.shared.output import echo_json, working
 from heartcase.cli.shared.output_path import OutputPath
+from heartcase.cli.shared.recordings import recorded_into
 from heartcase.cli.shared.sessions import check_numbers, require_case, require_folder, session_bar
 from heartcase.schemas.errors import Problem, UsageError
 from heartcase.schemas.recording.reader import Recording, open_recording
@@ -189,15 +190,11 @@ def _take_over(result: _Result, case: Case, script: SimulationScript, output: Pa
     session.forget_ahead()
     parent = result.recording.branch_at(result.to_step)
     recorder = Recorder(session, output, case=case.manifest, parent=parent)
-    try:
+    with recorded_into(recorder):
         if let_go:
             _release_all(session)
         with session_bar("recording", script.seconds) as tell:
             run_script(session, script, on_frame=_telling(tell))
-        recorder.finish()
-    except BaseException:
-        recorder.discard()
-        raise
 
 
 def _release_all(session: OperatingSession) -> None:

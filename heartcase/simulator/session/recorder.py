@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
@@ -17,7 +17,7 @@ import numpy as np
 from heartcase import __version__
 from heartcase.schemas.bundle.format import CaseManifest
 from heartcase.schemas.bundle.placing import refuse_inside_case
-from heartcase.schemas.errors import Problem, RecordingError
+from heartcase.schemas.errors import HeartcaseError, Problem, RecordingError
 from heartcase.schemas.files import atomic_write
 from heartcase.schemas.recording.commands import Entry
 from heartcase.schemas.recording.header import (
@@ -41,6 +41,17 @@ STATE_EVERY_S = 1.0
 """Simulated time between stored states, s."""
 
 
+@dataclass(frozen=True)
+class _Written:
+    """The lines of the log that are whole on disk."""
+
+    line_count: int
+    size: int
+    """Their bytes."""
+    link: str
+    """Of the last of them."""
+
+
 class Recorder:
     """Writes a session into a folder, from its start on, until it is finished.
 
@@ -51,7 +62,8 @@ class Recorder:
             session.do(CloseGrab(name="lift", center_mm=lowest))
             session.advance(100)
 
-    Every command is on disk when it is done. Leaving the block finishes the recording, also where an error ends it.
+    Every command is on disk when it is done. Leaving the block finishes the recording, also where an error ends it;
+    where it is broken off, as by Ctrl-C, it ends with what was done by then.
     ``error`` is why it could not be written any more; None while it can.
 
     Parameters
@@ -100,10 +112,11 @@ class Recorder:
         self._session = session
         self._state_steps = max(1.0, state_every_s / session.simulation.step_s)
         self._state_step = start.state.step_count
-        self._state_count = self._line_count = 0
-        self._is_stored = False
+        self._state_count = 0
+        self._end_step = start.state.step_count
+        self._is_stored = self._is_sealed = False
         self._header = _header(session.simulation, start, case, parent)
-        self._link = header_hash(self._header)
+        self._written = _Written(0, 0, header_hash(self._header))
         self.error: RecordingError | None = None
         self._failed: Callable[[RecordingError], None] | None = None
         self._log: BinaryIO | None = None
@@ -123,13 +136,14 @@ class Recorder:
         """Write down what was done."""
         with self._writing():
             self._write(entry)
+        self._end_step = entry.end_step
         self._is_stored = False
 
     def go_to(self, position: int) -> None:
         """Write down that the session went back, or on."""
         with self._writing():
             self._write(GoToLine(to=position))
-        self._state_step = self._session.step_count
+        self._end_step = self._state_step = self._session.step_count
         self._is_stored = False
 
     def keep(self, position: int, simulation: Simulation) -> None:
@@ -146,9 +160,25 @@ class Recorder:
         with self._writing():
             if not (self._is_stored or session.is_on_the_way):
                 self._store(session.simulation.snapshot())
+            self._seal(session.step_count)
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time from the session's start to where what is written ends, s."""
+        return (self._end_step - self._header.start_step) * self._header.step_s
+
+    def break_off(self) -> None:
+        """Seal what was done by now where the session was interrupted in the middle of something.
+
+        Nothing of that is in the recording, nor any state of now: what is repeated is what stands in the log.
+        """
+        if self._is_sealed or self.error is not None:
+            return
+        with self._writing():
             self._close()
-            end = RecordingEnd(line_count=self._line_count, log_hash=self._link, step=self._session.step_count)
-            atomic_write(self.path / HEADER_NAME, header_bytes(self._header.model_copy(update={"end": end})))
+            os.truncate(self.path / LOG_NAME, self._written.size)
+            (self.path / _state_name(self._state_count)).unlink(missing_ok=True)
+            self._seal(self._end_step)
 
     def discard(self) -> None:
         """Stop, and leave nothing behind."""
@@ -164,8 +194,17 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish."""
-        self.finish()
+        """Finish, or break off where what ended the block may have left the session in the middle of something."""
+        if error is None or isinstance(error, HeartcaseError):
+            self.finish()
+        else:
+            self.break_off()
+
+    def _seal(self, step: int) -> None:
+        self._close()
+        end = RecordingEnd(line_count=self._written.line_count, log_hash=self._written.link, step=step)
+        atomic_write(self.path / HEADER_NAME, header_bytes(self._header.model_copy(update={"end": end})))
+        self._is_sealed = True
 
     def _make_folder(self) -> None:
         refuse_inside_case(self.path, place="out")
@@ -207,7 +246,7 @@ class Recorder:
 
     def _store(self, snapshot: Snapshot) -> None:
         content = snapshot_bytes(snapshot)
-        name = f"state-{self._state_count:06d}.safetensors"
+        name = _state_name(self._state_count)
         atomic_write(self.path / name, content)
         step = snapshot.state.step_count
         self._write(StateLine(step=step, file=name, size=len(content), sha256=sha256(content).hexdigest()))
@@ -217,10 +256,11 @@ class Recorder:
     def _write(self, line: Line) -> None:
         if self._log is None:
             return
-        content, self._link = sealed(line, self._link)
+        written = self._written
+        content, link = sealed(line, written.link)
         self._log.write(content)
         self._log.flush()
-        self._line_count += 1
+        self._written = _Written(written.line_count + 1, written.size + len(content), link)
 
     def _close(self) -> None:
         self._session.log = None
@@ -251,6 +291,10 @@ def _check(
         )
     if problems:
         raise RecordingError(problems)
+
+
+def _state_name(number: int) -> str:
+    return f"state-{number:06d}.safetensors"
 
 
 def _unwritable(error: OSError) -> RecordingError:

@@ -548,6 +548,38 @@ def test_a_crash_at_any_operation_on_files_leaves_a_beginning(tmp_path):
     assert had[-1] == len(whole.entries)
 
 
+def test_what_interrupts_it_at_any_operation_on_files_leaves_a_whole_recording_of_what_was_done(tmp_path):
+    recorded(tmp_path / "whole.recording")
+    whole = open_recording(tmp_path / "whole.recording")
+    had, limit, found = [], 0, None
+    while found is None or found.entries != whole.entries:
+        session = OperatingSession(block_simulation(), snapshot_every_s=float("inf"))
+        path, limit = tmp_path / f"{limit}.recording", limit + 1
+        recorder = Recorder(session, path, state_every_s=50 * session.simulation.step_s)
+        with contextlib.suppress(KeyboardInterrupt), recorder, crash_after(limit, KeyboardInterrupt):
+            operate(session)
+        found = open_recording(path)
+        assert check_recording(path) == []
+        assert found.is_whole
+        assert found.header.end.step == found.end_step
+        assert found.entries == whole.entries[: len(found.entries)]
+        assert {file.name for file in path.glob("state-*")} == {state.file for state in found.states.values()}
+        had.append(len(found.entries))
+    assert had == sorted(had)
+    assert len(set(had)) > 3
+
+
+def test_a_line_that_was_being_written_when_it_was_interrupted_is_left_out(tmp_path):
+    session = OperatingSession(block_simulation())
+    recorder = Recorder(session, tmp_path / "a.recording")
+    kept = "heartcase.simulator.session.recorder._Written"
+    session.advance(20)
+    with pytest.raises(KeyboardInterrupt), recorder, mock.patch(kept, side_effect=KeyboardInterrupt):
+        session.advance(20)
+    assert check_recording(recorder.path) == []
+    assert open_recording(recorder.path).end_step == 20
+
+
 def test_a_disk_that_is_full_at_any_operation_ends_the_recording_and_not_the_session(tmp_path):
     untouched = recorded(tmp_path / "whole.recording")
     whole = open_recording(tmp_path / "whole.recording")

@@ -189,25 +189,62 @@ def test_each_refusal_is_a_line(case_path, recorded, script, tmp_path, capsys):
     assert "cut short" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SimulationError("the simulation broke down")])
-@pytest.mark.parametrize("takes_over", [False, True])
-def test_an_interrupted_recording_leaves_nothing(case_path, recorded, script, capsys, monkeypatch, error, takes_over):
+ENDS = [KeyboardInterrupt, SimulationError("the simulation broke down")]
+
+
+def ended_early(case_path, recorded, script, monkeypatch, takes_over, run) -> tuple[int, Path]:
+    """The exit code, and where to, of a recording whose script is run by ``run``."""
     out = script.parent / "x.recording"
-
-    def interrupted(*_, **__):
-        assert (out / "log.jsonl").is_file()
-        raise error
-
-    monkeypatch.setattr(replay if takes_over else record, "run_script", interrupted)
+    monkeypatch.setattr(replay if takes_over else record, "run_script", run)
     arguments = ["record", str(case_path), "--script", str(script)]
     if takes_over:
         more = ["--take-over", str(script.with_name("more.toml"))]
         arguments = ["replay", str(recorded), "--case", str(case_path), *more]
-    code = main([*arguments, "--out", str(out)])
+    return main([*arguments, "--out", str(out)]), out
+
+
+@pytest.mark.parametrize("error", ENDS)
+@pytest.mark.parametrize("takes_over", [False, True])
+def test_a_recording_that_ends_before_it_began_leaves_nothing(
+    case_path, recorded, script, capsys, monkeypatch, error, takes_over
+):
+    def interrupted(session, *_, **__):
+        assert (session.log.path / "log.jsonl").is_file()
+        raise error
+
+    code, out = ended_early(case_path, recorded, script, monkeypatch, takes_over, interrupted)
     told = capsys.readouterr().err
     assert not out.exists()
     assert (code, "nothing half-written" in told) == ((130, True) if error is KeyboardInterrupt else (1, False))
     assert len([line for line in told.splitlines() if line]) == 1
+
+
+@pytest.mark.parametrize("error", ENDS)
+@pytest.mark.parametrize("takes_over", [False, True])
+def test_a_recording_that_ends_early_keeps_what_was_done_by_then(
+    case_path, recorded, script, capsys, monkeypatch, error, takes_over
+):
+    def interrupted(session, script, **_):
+        def on_frame(_, time_s):
+            if time_s > 0.02:
+                if error is KeyboardInterrupt:
+                    session.simulation.step(7)  # as in the middle of a row of steps, of which the log has nothing
+                raise error
+
+        run_script(session, script, on_frame=on_frame)
+
+    code, out = ended_early(case_path, recorded, script, monkeypatch, takes_over, interrupted)
+    told = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert code == (130 if error is KeyboardInterrupt else 1)
+    found = open_recording(out)
+    assert found.is_whole
+    assert found.header.end.step == found.end_step
+    assert 0.02 < found.seconds - (0.2 if takes_over else 0.0) < 0.04
+    assert told[0] == f"kept what was recorded by then: {found.seconds:.3f} s in x.recording"
+    assert len(told) == 2
+    assert main(["validate", str(out)]) == 0
+    assert main(["replay", str(out), "--case", str(case_path)]) == 0
+    assert f"Checked    {len(found.states)} stored states: the same bytes" in capsys.readouterr().out
 
 
 def shapes_at(content: bytes, frame: int) -> tuple[float, np.ndarray]:
