@@ -275,8 +275,12 @@ def test_moments_reach_the_simulator_and_a_case_of_version_1_2_has_none(tmp_path
 
 
 def test_an_empty_path_is_explained(tmp_path):
-    with pytest.raises(BundleError, match="nothing at this path"):
+    with pytest.raises(BundleError, match=r"nothing at this path: no none\.case is in that folder; .*--out") as missing:
         open_bundle(tmp_path / "none.case")
+    assert str(tmp_path) not in str(missing.value)
+    for unlike in ("none", "-x.case", "Jane^Doe.case", f"{'x' * 65}.case"):
+        with pytest.raises(BundleError, match=r"nothing at this path: check its spelling$"):
+            open_bundle(tmp_path / unlike)
     with pytest.raises(BundleError, match=r"holds no case\.json"):
         open_bundle(tmp_path)
 

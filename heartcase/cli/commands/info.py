@@ -14,6 +14,7 @@ from heartcase.cli.shared.stage_io import scan_options
 from heartcase.pipeline.warnings import CaseWarning, counted, warnings_of
 from heartcase.schemas.bundle.coordinates import WAYS
 from heartcase.schemas.bundle.format import MANIFEST_NAME
+from heartcase.schemas.bundle.manifest import nothing_there
 from heartcase.schemas.errors import MissingPathError
 from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recording.reader import is_recording, open_recording
@@ -34,7 +35,7 @@ def kind_of(path: Path) -> str:
         There is nothing at the path.
     """
     if not path.exists():
-        raise MissingPathError("there is nothing at this path: check its spelling", place="PATH")
+        raise MissingPathError(nothing_there(path), place="PATH")
     if path.is_dir() and ((path / MANIFEST_NAME).exists() or path.suffix == ".case"):
         return "case"
     if is_recording(path):

@@ -12,6 +12,7 @@ import click
 from heartcase import __version__
 from heartcase.cli.shared.output import echo_json, working
 from heartcase.schemas.bundle.format import FORMAT_VERSION, VERSION_WITHOUT_SEPTA
+from heartcase.schemas.bundle.manifest import nothing_there
 from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.bundle.reader import read_manifest
 from heartcase.schemas.errors import MissingPathError, UsageError
@@ -86,7 +87,7 @@ def preview(path: Path) -> Preview:
         It is no recipe, script or case, or of a version that is not known.
     """
     if not path.exists():
-        raise MissingPathError("there is nothing at this path: check its spelling", place="PATH")
+        raise MissingPathError(nothing_there(path), place="PATH")
     if path.is_dir():
         return _of_case(path)
     if path.suffix.lower() != ".toml":

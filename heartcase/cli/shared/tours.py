@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from heartcase.pipeline.warnings import CaseWarning
-from heartcase.schemas.bundle.manifest import read_manifest
+from heartcase.schemas.bundle.manifest import nothing_there, read_manifest
 from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.schemas.touring.names import tour_problems
@@ -38,7 +38,7 @@ def tour_findings(path: Path, case: Path | None, *, run: bool) -> tuple[tuple[Pr
     if run and (case is None or not case.is_dir()):
         raise UsageError("--run needs a built case: give --case NAME.case", place="--run")
     if case is not None and not case.exists():
-        raise MissingPathError("there is nothing at this path: check its spelling", place="--case")
+        raise MissingPathError(nothing_there(case), place="--case")
     try:
         tour = load_tour(path)
         found = _recipe_beside(path, tour) if case is None else case

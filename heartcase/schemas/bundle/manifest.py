@@ -35,6 +35,7 @@ __all__ = [
     "MANIFEST_SIZE_MAX",
     "listed_files",
     "manifest_bytes",
+    "nothing_there",
     "raw_manifest",
     "read_manifest",
     "salvaged_manifest",
@@ -49,6 +50,9 @@ MANIFEST_SIZE_MAX = 16 << 20
 
 FILE_NAME = re.compile(r"[a-z0-9][a-z0-9_.-]{0,127}")
 """A file's name inside a case; never a path."""
+
+_CASE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.()+-]{0,63}\.case")
+"""The name of a case's folder as builds write it: the recipe's name, which no patient's may be."""
 
 _GEOMETRIES = ("scan_geometry", "grid_geometry")
 _LISTS: dict[str, type[Model]] = {
@@ -189,6 +193,16 @@ def _valid(adapter: TypeAdapter[Any], value: Any) -> Any:
         return _WRONG
 
 
+def nothing_there(path: Path) -> str:
+    """Words for a path with nothing at it: of a case its name, and where builds put cases; never a folder."""
+    if _CASE_NAME.fullmatch(path.name) is None:
+        return "there is nothing at this path: check its spelling"
+    return (
+        f"there is nothing at this path: no {path.name} is in that folder; check its spelling, and where it was built: "
+        "'heartcase build' writes into the folder of --out, and into the current one without it"
+    )
+
+
 def manifest_bytes(directory: Path) -> bytes:
     """The bytes of ``case.json``.
 
@@ -199,7 +213,7 @@ def manifest_bytes(directory: Path) -> bytes:
     """
     file = directory / MANIFEST_NAME
     if not is_there(directory):
-        raise BundleError("there is nothing at this path: check its spelling", place="case")
+        raise BundleError(nothing_there(directory), place="case")
     if file.is_symlink():
         raise BundleError("is a link and not a file: the case is damaged, build it again", place=MANIFEST_NAME)
     if not file.is_file():
