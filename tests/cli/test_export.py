@@ -387,7 +387,7 @@ def test_vessels_are_surfaces_of_their_own(whole, tmp_path, capsys):
     assert straight.volume == pytest.approx(np.pi * 10.0 + 4.0 / 3.0 * np.pi, rel=0.04)
     np.testing.assert_allclose(straight.bounds, [[-13, -1, -1], [-11, 1, 11]], atol=0.05)
     said = capsys.readouterr()
-    assert "wrote the vessels to x.ply" in said.out
+    assert f"wrote the vessels to {tmp_path / 'x.ply'}, " in said.out
     content = (tmp_path / "x.ply").read_bytes()
     assert b"label 1 right coronary artery" in content
     assert b"label 2 great cardiac vein" in content

@@ -154,6 +154,8 @@ class _Made:
     facts: dict[str, object] = field(default_factory=dict)
     """What --json adds."""
     warnings: tuple[str, ...] = ()
+    more: tuple[str, ...] = ()
+    """Lines to say after that it was written."""
 
 
 def _printed(export: _Export, model: str, suffix: str, min_thickness_mm: float) -> _Made:
@@ -200,15 +202,23 @@ def _for_meshio(export: _Export, model: str, suffix: str) -> _Made:
     return _Made(surface_bytes(mesh, suffix), f"the surface of {_called(model)}", warnings=mesh.warnings)
 
 
+_TOURS = "they are found beside the case, and in the folder above it where a recipe of the case's name lies"
+"""Where guided tours may stand."""
+
+
 def _page(export: _Export, recordings: Sequence[Path], rate: float | None, *, tours: bool) -> _Made:
     """The case for a browser."""
     from heartcase.studio.offline.exported import page_of
 
     rate = FRAMES_PER_SECOND if rate is None else rate
-    content, warnings = page_of(export.case, recordings, level=export.level, frames_per_second=rate, tours=tours)
+    made = page_of(export.case, recordings, level=export.level, frames_per_second=rate, tours=tours)
     words = {0: "", 1: " with its recording"}.get(len(recordings), f" with {len(recordings)} recordings")
     facts: dict[str, object] = {"frames_per_second": rate} if recordings else {}
-    return _Made(content, f"the case as a page{words}", facts, tuple(warnings))
+    said: tuple[str, ...] = ()
+    if tours:
+        facts["tours"] = made.tours
+        said = (f"guided tours in it: {'; '.join(made.tours)}" if made.tours else f"no guided tour is in it: {_TOURS}",)
+    return _Made(made.content, f"the case as a page{words}", facts, made.warnings, said)
 
 
 def _write_site(
@@ -238,10 +248,14 @@ def _write_site(
         click.echo(f"warning: {warning}", err=True)
     if as_json:
         facts = {"format": "site", "index": str(made.index), "cases": made.names, "bytes": made.byte_count}
-        echo_json(facts | {"warnings": made.warnings})
+        echo_json(facts | ({"tours": made.tours} if tours else {}) | {"warnings": made.warnings})
     else:
         size = file_size(made.byte_count)
-        click.echo(f"wrote a site of {counted(len(cases), 'case')} to {out.name}, {size}; open {made.index}")
+        click.echo(f"wrote a site of {counted(len(cases), 'case')} to {out}, {size}; open {made.index}")
+        for name, titles in made.tours.items():
+            click.echo(f"guided tours of {name}: {'; '.join(titles)}")
+        if tours and not made.tours:
+            click.echo(f"no guided tour is in it: {_TOURS}")
 
 
 def _cannot_be_written(error: OSError) -> UsageError:
@@ -484,4 +498,6 @@ def command(
         facts = {"format": suffix, "bytes": len(made.content)} | named | made.facts
         echo_json(facts | ({"warnings": made.warnings} if model else {}))
     else:
-        click.echo(f"wrote {made.what} to {output.name}, {file_size(len(made.content))}")
+        click.echo(f"wrote {made.what} to {output}, {file_size(len(made.content))}")
+        for line in made.more:
+            click.echo(line)

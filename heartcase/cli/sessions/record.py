@@ -104,5 +104,5 @@ def command(
     else:
         click.echo(
             f"recorded {recording.seconds:.3f} s, {session.step_count:,} steps, {len(recording.entries):,} entries and "
-            f"{len(recording.states):,} states in {output.name}"
+            f"{len(recording.states):,} states in {output}"
         )

@@ -151,7 +151,7 @@ class _Result:
             yield f"Checked    {self.states_met:,} stored states: the same bytes"
         if output is not None:
             more = (self.session.step_count - self.to_step) * simulation.step_s
-            yield f"Taken over at step {self.to_step:,}: {more:.3f} s more in {output.name}"
+            yield f"Taken over at step {self.to_step:,}: {more:.3f} s more in {output}"
 
 
 def _check_options(script: Path | None, let_go: bool, output: Path | None) -> None:

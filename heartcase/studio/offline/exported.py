@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,10 +28,22 @@ if TYPE_CHECKING:
     from heartcase.studio.offline.site import SiteResult
     from heartcase.studio.offline.web_page import Recorded
 
-__all__ = ["fitting_page_of", "page_of", "site_of"]
+__all__ = ["PageResult", "fitting_page_of", "page_of", "site_of"]
 
 _TOUR_S = 10.0
 """Simulated time of a tour, about, s: how much of all that is played it counts for."""
+
+
+@dataclass(frozen=True)
+class PageResult:
+    """A page as it was made."""
+
+    content: bytes
+    """The file."""
+    tours: tuple[str, ...]
+    """Titles of the guided tours in it."""
+    warnings: tuple[str, ...]
+    """What is wrong with tours, of each that is so."""
 
 
 def page_of(
@@ -42,10 +54,10 @@ def page_of(
     frames_per_second: float,
     tours: bool = True,
     told: Callable[[float], None] = lambda _: None,
-) -> tuple[bytes, list[str]]:
-    """The file of a case with its recordings and its guided tours; what is wrong with tours, of each that is so.
+) -> PageResult:
+    """The page of a case with its recordings and its guided tours.
 
-    One that cannot be read is left out, and one that could not be done to its end ends before. ``told`` hears which
+    A tour that cannot be read is left out, and one that could not be done to its end ends before. ``told`` hears which
     part of all that is to be played is done, 0 to 1.
 
     Raises
@@ -75,13 +87,16 @@ def page_of(
     assert loaded.surface is not None
     normal_map = load_normal_map(case, loaded.surface, level)
     made = web_page(loaded, shown, played, tours=toured, normal_map=normal_map, frames_per_second=frames_per_second)
-    return made, [str(problem) for problem in (*problems, *(each for one in toured for each in one.problems))]
+    problems = (*problems, *(each for one in toured for each in one.problems))
+    return PageResult(made, tuple(one.tour.tour.title for one in toured), tuple(map(str, problems)))
 
 
 def fitting_page_of(
     case: Path, recordings: Sequence[Path], told: Callable[[float], None] = lambda _: None
 ) -> tuple[bytes, list[str]]:
-    """The same at the full surface, with as many pictures a second as the longest recording has room for.
+    """The file of such a page at the full surface, and its warnings.
+
+    It has as many pictures a second as the longest recording has room for.
 
     Raises
     ------
@@ -92,7 +107,8 @@ def fitting_page_of(
 
     longest = max((open_recording(one).seconds for one in recordings), default=0.0)
     rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / max(longest, 1.0))
-    return page_of(case, recordings, level=0, frames_per_second=rate, told=told)
+    made = page_of(case, recordings, level=0, frames_per_second=rate, told=told)
+    return made.content, list(made.warnings)
 
 
 def site_of(

@@ -85,6 +85,8 @@ class SiteResult:
     """The page to open."""
     names: tuple[str, ...]
     """Names of the cases."""
+    tours: dict[str, tuple[str, ...]]
+    """Name of each case that has guided tours -> their titles."""
     byte_count: int
     """Bytes of all files."""
     warnings: tuple[str, ...]
@@ -125,13 +127,15 @@ def write_site(
     out = out.resolve()
     opened = _opened(cases, out)
     temporary = out.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{secrets.token_hex(4)}-site")
-    warnings = []
+    warnings, tours = [], {}
     try:
         site = _Files(temporary)
         cards = []
         for case, bundle in zip(cases, opened, strict=True):
             say(case.name)
-            problems = _write_case(site, case, bundle, level, frames_per_second)
+            titles, problems = _write_case(site, case, bundle, level, frames_per_second)
+            if titles:
+                tours[case.name] = titles
             warnings += [f"{case.name}: {problem}" for problem in problems]
             cards.append(_card(case, bundle, site.sizes[f"cases/{case.name}.js"]))
             about = bundle.manifest.about
@@ -146,7 +150,8 @@ def write_site(
         _put(temporary, out)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-    return SiteResult(out / "index.html", tuple(case.name for case in cases), sum(site.sizes.values()), tuple(warnings))
+    names = tuple(case.name for case in cases)
+    return SiteResult(out / "index.html", names, tours, sum(site.sizes.values()), tuple(warnings))
 
 
 class _Files:
@@ -250,8 +255,8 @@ def _put(temporary: Path, out: Path) -> None:
 
 def _write_case(
     site: _Files, case: SiteCase, bundle: OpenBundle, level: int | None, frames_per_second: float
-) -> tuple[Problem, ...]:
-    """Write its page; what is wrong with its tours."""
+) -> tuple[tuple[str, ...], tuple[Problem, ...]]:
+    """Write its page; the titles of its tours, and what is wrong with others."""
     if level is not None:
         bundle.surface_role(level, place="--level")
     elif not bundle.levels:
@@ -281,7 +286,7 @@ def _write_case(
     site.write(f"cases/{case.name}.html", page)
     finest = surface_of(bundle, min(bundle.levels))
     site.write(f"pictures/{case.name}.webp", small_picture(finest, bundle.manifest.labels))
-    return problems
+    return tuple(one.tour.tour.title for one in tours), problems
 
 
 def _card(case: SiteCase, bundle: OpenBundle, byte_count: int) -> dict[str, Any]:

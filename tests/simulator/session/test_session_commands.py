@@ -114,7 +114,7 @@ def test_taken_over_by_a_script(case_path, recorded, capsys, lets_go):
     more = ["--take-over", str(recorded.with_name("more.toml")), "--out", str(other)]
     arguments = ["replay", str(recorded), "--case", str(case_path), "--to", "0.0712", *more]
     assert main([*arguments, *(["--let-go"] if lets_go else [])]) == 0
-    assert "0.050 s more in other.recording" in capsys.readouterr().out
+    assert f"0.050 s more in {other}\n" in capsys.readouterr().out
     found, parent = open_recording(other), open_recording(recorded)
     step = round(0.0712 / parent.header.step_s)
     assert (found.header.parent.log_hash, found.header.parent.step) == (parent.log_hash, step)

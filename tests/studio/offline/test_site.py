@@ -15,6 +15,7 @@ from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.simulation import Simulation
 from heartcase.studio.offline.site import MARK, SiteCase, write_site
 from tests.simulator.live.scenes import write_case as write_block
+from tests.simulator.touring.hollow_tour import TOUR
 from tests.studio.offline.cases import about, write_cases
 from tests.studio.page.test_offline import contents_of
 
@@ -67,6 +68,12 @@ def test_one_copy_of_the_viewer_and_the_same_bytes_again(cases, tmp_path, capsys
     assert main(["export", *map(str, cases), "--out", str(out)]) == 0
     assert files_of(out) == first
     assert leftovers(tmp_path) == []
+    assert said["tours"] == {}
+    capsys.readouterr()
+    (cases[0].parent / "look.tour.md").write_text(TOUR.partition("## The hole")[0].replace('"hollow"', '"first"'))
+    assert main(["export", *map(str, cases), "--out", str(out)]) == 0
+    assert capsys.readouterr().out.splitlines()[1:] == ["guided tours of first: Two rooms"]
+    (cases[0].parent / "look.tour.md").unlink()
 
 
 def test_all_cases_that_cannot_be_opened_are_named_at_once(cases, tmp_path):

@@ -47,7 +47,7 @@ def test_a_case_is_saved_as_the_command_exports_it(recorded):  # noqa: F811
         assert one["byte_count"] == len(content)
         heard = []
         recordings = [path.parent / "wide.recording"]
-        wanted, _ = page_of(path, recordings, level=0, frames_per_second=10.0, told=heard.append)
+        wanted = page_of(path, recordings, level=0, frames_per_second=10.0, told=heard.append).content
         assert heard == sorted(heard)
         assert 0.0 < heard[0] < heard[-1] == pytest.approx(1.0)
         assert content == wanted
