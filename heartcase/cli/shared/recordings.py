@@ -37,7 +37,7 @@ def _end(recorder: Recorder, error: BaseException) -> None:
         recorder.finish()
     else:
         recorder.break_off()
-    kept = f"kept what was recorded by then: {recorder.seconds:.3f} s in {recorder.path.name}"
+    kept = f"kept what was recorded by then: {recorder.seconds:.3f} s in {recorder.path}"
     if recorder.error is not None:
         kept += ", cut short: 'heartcase replay --partial' takes what is whole of it"
     click.echo(kept, err=True)

@@ -240,7 +240,7 @@ def test_a_recording_that_ends_early_keeps_what_was_done_by_then(
     assert found.is_whole
     assert found.header.end.step == found.end_step
     assert 0.02 < found.seconds - (0.2 if takes_over else 0.0) < 0.04
-    assert told[0] == f"kept what was recorded by then: {found.seconds:.3f} s in x.recording"
+    assert told[0] == f"kept what was recorded by then: {found.seconds:.3f} s in {out}"
     assert len(told) == 2
     assert main(["validate", str(out)]) == 0
     assert main(["replay", str(out), "--case", str(case_path)]) == 0
