@@ -10,8 +10,8 @@ from heartcase.schemas.bundle.manifest import nothing_there, read_manifest
 from heartcase.schemas.errors import HeartcaseError, MissingPathError, Problem, UsageError
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.schemas.touring.names import tour_problems
-from heartcase.schemas.touring.reading import TOUR_ENDING, load_tour
-from heartcase.schemas.touring.tour import Tour
+from heartcase.schemas.touring.reading import TOUR_ENDING, load_tour, read_tour
+from heartcase.schemas.touring.tour import Tour, TourHead
 
 __all__ = ["tour_findings"]
 
@@ -40,23 +40,28 @@ def tour_findings(path: Path, case: Path | None, *, run: bool) -> tuple[tuple[Pr
     if case is not None and not case.exists():
         raise MissingPathError(nothing_there(case), place="--case")
     try:
-        tour = load_tour(path)
-        found = _recipe_beside(path, tour) if case is None else case
-        if found is None:
-            words = "no recipe of this case lies beside it, so it was not checked whether the case has what it names"
-            return (), (CaseWarning(f"{words}: give --case"),)
-        stated = read_manifest(found) if found.is_dir() else load_recipe(found)
+        read = read_tour(path)
     except HeartcaseError as error:
         return error.problems, ()
-    if stated.name.lower() != tour.head.case.lower():
-        return (Problem("case", f"the tour is for {tour.head.case}, and this is {stated.name}"),), ()
-    problems = tour_problems(tour, stated.landmarks, stated.labels)
+    problems = list(read.problems)
+    found = case if case is not None or read.head is None else _recipe_beside(path, read.head)
+    if found is None:
+        words = "no recipe of this case lies beside it, so it was not checked whether the case has what it names"
+        return tuple(problems), (CaseWarning(f"{words}: give --case"),)
+    try:
+        stated = read_manifest(found) if found.is_dir() else load_recipe(found)
+    except HeartcaseError as error:
+        return (*problems, *error.problems), ()
+    if read.head is not None and stated.name.lower() != read.head.case.lower():
+        problems.append(Problem("case", f"the tour is for {read.head.case}, and this is {stated.name}"))
+        return tuple(problems), ()
+    problems += tour_problems(read, stated.landmarks, stated.labels)
     if problems or not run:
-        return problems, ()
-    return _done_on(tour, found)
+        return tuple(problems), ()
+    return _done_on(load_tour(path), found)
 
 
-def _recipe_beside(path: Path, tour: Tour) -> Path | None:
+def _recipe_beside(path: Path, head: TourHead) -> Path | None:
     """The recipe of a tour's case, in the tour's folder."""
     same = path.with_name(path.name[: -len(TOUR_ENDING)] + ".toml")
     for one in (same, *sorted(path.parent.glob("*.toml"))):
@@ -65,7 +70,7 @@ def _recipe_beside(path: Path, tour: Tour) -> Path | None:
         except (OSError, UnicodeDecodeError):
             continue
         name = _NAME.search(text)
-        if "heartcase_recipe" in text and name is not None and name[1].lower() == tour.head.case.lower():
+        if "heartcase_recipe" in text and name is not None and name[1].lower() == head.case.lower():
             return one
     return None
 
@@ -81,20 +86,26 @@ def _done_on(tour: Tour, case: Path) -> tuple[tuple[Problem, ...], tuple[CaseWar
 
     loaded = load_case(case, needs=("surface", "structures", "tissue"))
     warnings: list[CaseWarning] = []
+    problems: list[Problem] = []
+    places = CasePlaces(loaded)
     try:
-        places = CasePlaces(loaded)
         staged_scenes(tour, places)
     except HeartcaseError as error:
-        return error.problems, ()
+        problems += error.problems
     session = OperatingSession(simulation_of_case(loaded))
+    failed: list[str] = []
     for number, step in enumerate(tour.steps):
         where = f"line {step.line} (step {number + 1})"
         try:
             run_timed(session, timed_commands(tour, number, places))
         except HeartcaseError as error:
             said = (f"{one.place}: {one.message}" if one.place else one.message for one in error.problems)
-            return tuple(Problem(where, words) for words in said), tuple(warnings)
+            problems += [Problem(where, words) for words in said]
+            failed.append(where)
         inverted = session.simulation.inverted_cell_count()
         if inverted:
             warnings.append(CaseWarning(f"{where}: {inverted} cells are inside out at its end: do less at a time"))
-    return (), tuple(warnings)
+    if len(failed) > 1:
+        first = f"what steps after {failed[0]} could not do may follow from what that one left undone: mend it first"
+        warnings.append(CaseWarning(first))
+    return tuple(problems), tuple(warnings)

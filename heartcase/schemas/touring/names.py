@@ -10,6 +10,7 @@ from heartcase.schemas.labels import Label
 from heartcase.schemas.landmarks import Landmark
 from heartcase.schemas.terms import term_by_name
 from heartcase.schemas.touring.places import Beside, direction_of_words, known_name, names_in
+from heartcase.schemas.touring.reading import ReadTour
 from heartcase.schemas.touring.tour import (
     CloseAlong,
     OpenAlong,
@@ -64,13 +65,13 @@ def grown_septa(names: Iterable[str], labels: Iterable[Label]) -> tuple[int, ...
     return tuple(label.value for label in septa if any(name.lower() in label.name.lower() for name in (*names, *terms)))
 
 
-def tour_problems(tour: Tour, landmarks: Sequence[Landmark], labels: Iterable[Label]) -> tuple[Problem, ...]:
+def tour_problems(tour: Tour | ReadTour, landmarks: Sequence[Landmark], labels: Iterable[Label]) -> tuple[Problem, ...]:
     """What a tour names that a case does not have, or that is of another kind there.
 
     Parameters
     ----------
     tour
-        The tour.
+        The tour; of one that is wrong, what is sound in it is looked at.
     landmarks, labels
         Of the case, or of its recipe.
     """

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,9 +19,9 @@ from heartcase.schemas.scripts.toml_text import text_of
 from heartcase.schemas.toml_places import toml_places
 from heartcase.schemas.toml_problems import toml_problem
 from heartcase.schemas.touring.text import Block, Choice, Listing, Paragraph, Piece, Question
-from heartcase.schemas.touring.tour import Scene, Tour, TourAct, TourHead, TourStep, act_problems, parse_act
+from heartcase.schemas.touring.tour import Scene, Tour, TourAct, TourHead, TourStep, Wait, act_problems, parse_act
 
-__all__ = ["SIZE_MAX", "TOUR_ENDING", "is_tour", "load_tour", "parse_tour"]
+__all__ = ["SIZE_MAX", "TOUR_ENDING", "ReadTour", "is_tour", "load_tour", "parse_tour", "read_tour"]
 
 SIZE_MAX = 1 << 20
 """A tour that is longer, in bytes, is not read."""
@@ -38,6 +40,18 @@ def is_tour(path: Path | str) -> bool:
     return str(path).lower().endswith(TOUR_ENDING)
 
 
+@dataclass(frozen=True)
+class ReadTour:
+    """What was read of a tour's text, sound or not."""
+
+    head: TourHead | None
+    """What stands at its top; None where that is wrong."""
+    steps: tuple[TourStep, ...]
+    """Its steps, without what is wrong in them: what they name of a case can be looked at all the same."""
+    problems: tuple[Problem, ...]
+    """All that is wrong, each with its line."""
+
+
 def load_tour(path: Path | str) -> Tour:
     """Read a tour.
 
@@ -46,13 +60,30 @@ def load_tour(path: Path | str) -> Tour:
     ScriptError
         It cannot be read, or with every problem that was found in it, each with its line.
     """
+    return parse_tour(_text(path))
+
+
+def read_tour(path: Path | str) -> ReadTour:
+    """What stands in the file of a tour that may be wrong.
+
+    Raises
+    ------
+    ScriptError
+        It cannot be read, or does not begin as a tour does.
+    """
+    reader, head = _read(_text(path))
+    made = reader.tour(head)
+    return ReadTour(head, made.steps if made else tuple(reader.sound_steps()), tuple(reader.problems))
+
+
+def _text(path: Path | str) -> str:
     try:
         if Path(path).stat().st_size > SIZE_MAX:
             raise ScriptError(f"the file is larger than {SIZE_MAX >> 20} MiB: that is no tour", place="tour")
     except OSError:
         # told below
         pass
-    return parse_tour(text_of(path, "tour"))
+    return text_of(path, "tour")
 
 
 def parse_tour(text: str) -> Tour:
@@ -68,6 +99,15 @@ def parse_tour(text: str) -> Tour:
     ScriptError
         With every problem that was found, each with its line.
     """
+    reader, head = _read(text)
+    tour = reader.tour(head)
+    if tour is None:
+        raise ScriptError(reader.problems)
+    return tour
+
+
+def _read(text: str) -> tuple[_Reader, TourHead | None]:
+    """What has read all of it, and its head where that is sound."""
     text = text.replace("\r\n", "\n")
     reader = _Reader()
     found = _HEAD.match(text)
@@ -81,7 +121,7 @@ def parse_tour(text: str) -> Tour:
     tree = SyntaxTreeNode(MarkdownIt("commonmark").parse(text[found.end() :]))
     for node in tree.children:
         reader.take(node, 1 + before + (node.map[0] if node.map else 0))
-    return reader.tour(head)
+    return reader, head
 
 
 class _Step:
@@ -140,8 +180,8 @@ class _Reader:
         elif (block := self._block(node, line)) is not None:
             (self.blocks if step is None else step.blocks).append(block)
 
-    def tour(self, head: TourHead | None) -> Tour:
-        """All that was read."""
+    def tour(self, head: TourHead | None) -> Tour | None:
+        """All that was read; None where anything is wrong with it."""
         steps: list[TourStep] = []
         if self.title is None:
             self._say(1, "the tour has no title: begin with a line such as  # A hole between the ventricles")
@@ -167,9 +207,14 @@ class _Reader:
         if head is not None and self.title is not None and self.steps and not self.problems:
             data = {"head": head, "title": self.title, "blocks": tuple(self.blocks), "steps": tuple(steps)}
             made = self._checked(Tour, data, 1)
-        if self.problems:
-            raise ScriptError(self.problems)
-        return made[0]
+        return made[0] if made else None
+
+    def sound_steps(self) -> Iterator[TourStep]:
+        """The steps as far as they are sound: their scenes, and what they do."""
+        for step in self.steps:
+            yield TourStep.model_construct(
+                title=step.title, line=step.line, scene=step.scene or Scene(), acts=step.acts
+            )
 
     def _heading(self, node: SyntaxTreeNode, line: int) -> None:
         title = _plain(node.children[0]) if node.children else ""
@@ -199,8 +244,7 @@ class _Reader:
             self._toml_problem(text, error, first, step)
             return
         done = data.pop("do", [])
-        found = self._checked(Scene, data, first, text, step)
-        step.scene = found[0] if found else step.scene
+        step.scene = self._sound_scene(data, first, text, step)
         if not isinstance(done, list):
             self._tell(_line_of(text, "do", first), Problem("do", "write each act as a table: [[do]]"), step)
             return
@@ -209,9 +253,30 @@ class _Reader:
             for problem in (wrong := act_problems(one)):
                 place = f"do[{number}]" + (f".{problem.place}" if problem.place else "")
                 self._tell(_line_of(text, place, first), Problem(place, problem.message), step)
-            if not wrong:
-                acts.append(parse_act(one))
+            # what stands for a wrong one names nothing, and leaves the others their numbers
+            acts.append(Wait(kind="wait", seconds=1.0) if wrong else parse_act(one))
         step.acts = tuple(acts)
+
+    def _sound_scene(self, data: dict[str, Any], first: int, text: str, step: _Step) -> Scene:
+        """The scene of a step, without what is told as wrong in it."""
+        known = len(self.problems)
+        found = self._checked(Scene, data, first, text, step)
+        if found:
+            return found[0]
+        for problem in self.problems[known:]:
+            _, _, place = problem.place.partition(": ")
+            table, key = data, ""
+            for key in re.sub(r"\[\d+\]", "", place).split("."):
+                if not isinstance(table.get(key), dict):
+                    break
+                table = table[key]
+            table.pop(key, None)
+        # without a view it would have none of its own
+        data.setdefault("view", {})
+        try:
+            return Scene.model_validate(data)
+        except ValidationError:
+            return Scene()
 
     def _question(self, step: _Step) -> Question | None:
         if step.asked is None:

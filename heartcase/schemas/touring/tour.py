@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
@@ -243,21 +244,26 @@ def parse_act(data: Any) -> TourAct:
         try:
             found: TourAct = _OWN.validate_python(data)
         except ValidationError as error:
-            raise HeartcaseError(
-                [
-                    Problem(problem.place.removeprefix(f"{kind}.").removeprefix(kind), problem.message)
-                    for problem in problems_from_validation(error)
-                ]
-            ) from None
+            raise HeartcaseError(_without_kind(problems_from_validation(error), kind)) from None
         return found
     if kind not in _SESSION_KINDS:
         known = ", ".join((*sorted(_OWN_KINDS), *_SESSION_KINDS))
         raise HeartcaseError(f"there is no act of this kind (found {kind!r}); there are: {known}", place="kind")
     problems = [problem for key, value in data.items() for problem in _place_problems(key, value)]
+    try:
+        # where a table that is wrong stands for a place, there is one
+        parse_command(numbered(data, lambda _: (0.0, 0.0, 0.0), lambda _: (1.0, 0.0, 0.0)))
+    except HeartcaseError as error:
+        problems += _without_kind(error.problems, kind)
     if problems:
         raise HeartcaseError(problems)
-    parse_command(numbered(data, lambda _: (0.0, 0.0, 0.0), lambda _: (1.0, 0.0, 0.0)))
     return SessionAct(command=data)
+
+
+def _without_kind(problems: Iterable[Problem], kind: str) -> list[Problem]:
+    """The problems, each at its place in the act."""
+    prefix = re.compile(rf"^(command\.?)?({kind}\b\.?)?")
+    return [Problem(prefix.sub("", one.place), one.message) for one in problems]
 
 
 def act_problems(data: Any) -> tuple[Problem, ...]:
@@ -265,9 +271,7 @@ def act_problems(data: Any) -> tuple[Problem, ...]:
     try:
         parse_act(data)
     except HeartcaseError as error:
-        return tuple(
-            Problem(one.place.removeprefix("command").removeprefix("."), one.message) for one in error.problems
-        )
+        return error.problems
     return ()
 
 

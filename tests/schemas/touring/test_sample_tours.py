@@ -61,3 +61,57 @@ def test_the_command_line_checks_a_tour(tmp_path, capsys):
     assert "the tour is for avsd, and this is tetralogy" in capsys.readouterr().out
     assert main(["validate", str(path), "--run"]) == 2
     assert main(["validate", str(SAMPLES / "avsd.toml"), "--run"]) == 2
+
+
+def test_what_is_wrong_in_the_text_hides_nothing_that_the_case_lacks(tmp_path, capsys):
+    path = tmp_path / "mine.tour.md"
+    text = (SAMPLES / "avsd.tour.md").read_text().replace('"primum defect"', '"primum defct"')
+    path.write_text(text)
+    assert main(["validate", str(path), "--case", str(SAMPLES / "avsd.toml")]) == 1
+    lacking = [one for one in capsys.readouterr().out.splitlines() if one.startswith("line ")]
+    assert lacking
+    # of each kind one: a mark-up, a setting, an act
+    wrong = """
+## Wrong
+
+See <b>here</b>.
+
+```toml
+show = ["no such structure"]
+
+[view]
+sqare = true
+at = "primum defct"
+
+[[do]]
+kind = "close_grab"
+center_mm = { near = "apex" }
+radius_mm = -1
+
+[[do]]
+kind = "close_grab"
+name = "hand"
+center_mm = "nowhere"
+```
+"""
+    path.write_text(text + wrong)
+    assert main(["validate", str(path), "--case", str(SAMPLES / "avsd.toml")]) == 1
+    told = [one for one in capsys.readouterr().out.splitlines() if one.startswith("line ")]
+    assert set(lacking) < set(told)
+    more = [one for one in told if one not in lacking]
+    for words in (
+        "HTML is not shown",
+        "did you mean 'square'",
+        "do[1].center_mm.towards: is missing",
+        "do[1].radius_mm: ",
+        "show: the case has no structure 'no such structure'",
+        "view.at: ",
+        "do[2].center_mm: ",
+    ):
+        assert sum(words in one for one in more) == 1, (words, more)
+    # where the head is wrong, too, --case says of which case it is
+    path.write_text(path.read_text().replace("heartcase_tour = 1", "heartcase_tour = 9"))
+    assert main(["validate", str(path), "--case", str(SAMPLES / "avsd.toml")]) == 1
+    again = capsys.readouterr().out
+    assert "line 2: heartcase_tour" in again or "versions up to 1" in again
+    assert "show: the case has no structure" in again

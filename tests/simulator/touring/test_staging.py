@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -119,6 +121,11 @@ def test_the_command_line_does_all_of_it(folder, capsys):
     assert main(["validate", str(folder / "hollow.tour.md"), "--case", str(folder / "hollow.case"), "--run"]) == 0
     assert capsys.readouterr().out == "sound\n"
     wrong = folder / "wrong.tour.md"
-    wrong.write_text(TOUR.replace('kind = "withdraw_probe"\nname = "probe"', 'kind = "withdraw_probe"\nname = "prob"'))
+    text = TOUR.replace('kind = "withdraw_probe"\nname = "probe"', 'kind = "withdraw_probe"\nname = "prob"')
+    wrong.write_text(f'{text}\n## Last\n\nLet go.\n\n```toml\n[[do]]\nkind = "open_grab"\nname = "nobody"\n```\n')
     assert main(["validate", str(wrong), "--case", str(folder / "hollow.case"), "--run"]) == 1
-    assert "(step 4)" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "(step 4)" in told
+    # steps after one that fails are done, too
+    assert f"(step {text.count(chr(10) + '## ') + 1})" in told
+    assert re.search(r"warning: what steps after line \d+ \(step 4\) could not do may follow", told)
