@@ -15,6 +15,7 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 from heartcase.compiling.compile_lock import compiled_by_one
+from heartcase.compiling.hearing import compiling_now, tell_of_compiling
 from heartcase.compiling.loops import LoopKernel
 from heartcase.compiling.operators import remembered_operators
 from heartcase.compiling.shape_errors import short_shape_errors
@@ -86,7 +87,7 @@ def _compiled(function: Callable[..., Any], *, cached: bool, options: dict[str, 
         compile_it = dispatcher.compile
 
         def compile_quickly(signature: Any) -> Any:
-            with short_shape_errors(), remembered_operators(), without_unneeded_work():
+            with compiling_now(), short_shape_errors(), remembered_operators(), without_unneeded_work():
                 return compile_it(signature)
 
         dispatcher.compile = compiled_by_one(compile_quickly, dispatcher.overloads.__contains__, lock)
@@ -219,3 +220,10 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
             filename_base=self._impl.filename_base,
             source_stamp=source_stamp(file),
         )
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """What the cache has; where it has nothing, numba compiles, and who wants to hear of it is told."""
+        found = super().load_overload(sig, target_context)
+        if found is None:
+            tell_of_compiling()
+        return found

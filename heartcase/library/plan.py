@@ -75,7 +75,7 @@ class CaseRecord:
     seconds: float = 0.0
     """How long it took, s."""
     stage_seconds: dict[str, float] | None = None
-    """Stage -> seconds that it took, now or when its output was computed."""
+    """Stage -> seconds that it took, now or when its output was computed; ``scan`` where a synthetic one was made."""
     reused: tuple[str, ...] = ()
     """Stages whose output was in the cache."""
     warnings: tuple[str, ...] = ()

@@ -10,6 +10,7 @@ from heartcase.cli.main import main
 from heartcase.library import draw, scans
 from heartcase.library.draw import DRAWN_BELOW, draw_recipe
 from heartcase.library.plan import is_up_to_date, plan_library
+from heartcase.library.progress import MAKING_THE_SCAN
 from heartcase.library.scans import ensure_scan, scan_is_made
 from heartcase.library.worker import build_one
 from heartcase.phantom.scan.acquisition import SyntheticScan
@@ -282,6 +283,9 @@ def test_a_case_of_a_scan_that_was_made_before_is_replaced(tmp_path, monkeypatch
         (case,) = plan_library(tmp_path)
         record = build_one(case, str(tmp_path / "out"), None)
         assert not record.problems
+        # making the scan is time that the build took, where it was made
+        assert next(iter(record.stage_seconds)) == MAKING_THE_SCAN
+        assert MAKING_THE_SCAN not in build_one(case, str(tmp_path / "out"), None).stage_seconds
         ids.append(open_bundle(tmp_path / "out" / "ball.case").manifest.case_id)
         assert main(["build", str(path), "--out", str(tmp_path / "alone")]) == 0
     assert ids[0] != ids[1]

@@ -206,12 +206,14 @@ _TOURS = "they are found beside the case, and in the folder above it where a rec
 """Where guided tours may stand."""
 
 
-def _page(export: _Export, recordings: Sequence[Path], rate: float | None, *, tours: bool) -> _Made:
+def _page(export: _Export, recordings: Sequence[Path], rate: float | None, *, tours: bool, is_partial: bool) -> _Made:
     """The case for a browser."""
     from heartcase.studio.offline.exported import page_of
 
     rate = FRAMES_PER_SECOND if rate is None else rate
-    made = page_of(export.case, recordings, level=export.level, frames_per_second=rate, tours=tours)
+    made = page_of(
+        export.case, recordings, level=export.level, frames_per_second=rate, tours=tours, is_partial=is_partial
+    )
     words = {0: "", 1: " with its recording"}.get(len(recordings), f" with {len(recordings)} recordings")
     facts: dict[str, object] = {"frames_per_second": rate} if recordings else {}
     said: tuple[str, ...] = ()
@@ -229,6 +231,7 @@ def _write_site(
     rate: float | None,
     *,
     tours: bool,
+    is_partial: bool,
     as_json: bool,
 ) -> None:
     """Write a site, and say so."""
@@ -239,7 +242,7 @@ def _write_site(
     console = error_console()
     try:
         made = site_of(
-            cases, recordings, out, level=level, frames_per_second=rate, tours=tours,
+            cases, recordings, out, level=level, frames_per_second=rate, tours=tours, is_partial=is_partial,
             say=lambda name: console.print(f"  {name}", markup=False, soft_wrap=True),
         )  # fmt: skip
     except OSError as error:
@@ -265,14 +268,23 @@ def _cannot_be_written(error: OSError) -> UsageError:
 
 
 def _recorded(
-    case: Path, recording: Path, suffix: str, level: int, rate: float | None, error_mm: float | None
+    case: Path,
+    recording: Path,
+    suffix: str,
+    level: int,
+    rate: float | None,
+    error_mm: float | None,
+    *,
+    is_partial: bool,
 ) -> _Made:
     """A recording in motion."""
     from heartcase.cli.shared.recorded_film import animation_of
 
     rate = FRAMES_PER_SECOND if rate is None else rate
     error_mm = ERROR_MM if error_mm is None else error_mm
-    made = animation_of(recording, case, suffix, level=level, frames_per_second=rate, error_mm=error_mm)
+    made = animation_of(
+        recording, case, suffix, level=level, frames_per_second=rate, error_mm=error_mm, is_partial=is_partial
+    )
     return _Made(made.content, made.what, made.facts)
 
 
@@ -327,7 +339,13 @@ def _problems(
 
 
 def _motion_problems(
-    suffix: str, model: str | None, recordings: Sequence[Path], rate: float | None, error_mm: float | None
+    suffix: str,
+    model: str | None,
+    recordings: Sequence[Path],
+    rate: float | None,
+    error_mm: float | None,
+    *,
+    is_partial: bool,
 ) -> list[Problem]:
     """Options that do not go with showing a recording."""
     problems = []
@@ -335,6 +353,8 @@ def _motion_problems(
         problems.append(Problem("--model", "a recording shows the hollow model: leave it out"))
     if len(recordings) > 1 and suffix not in (PAGE, SITE):
         problems.append(Problem("--recording", f"only {PAGE} and a site show several: give one"))
+    if not recordings and is_partial:
+        problems.append(Problem("--partial", "serves only with --recording: leave it out"))
     if not recordings and rate is not None:
         problems.append(Problem("--frames-per-second", "serves only with --recording: leave it out"))
     if error_mm is not None and (not recordings or suffix != ".glb"):
@@ -415,6 +435,12 @@ def _site_problems(cases: Sequence[Path], output: Path, is_web: bool) -> list[Pr
     help="A recording of CASE to show in motion, as .glb, .html, .gif or .mp4; repeatable for .html and a site.",
 )
 @click.option(
+    "--partial",
+    "is_partial",
+    is_flag=True,
+    help="With --recording: take what is whole of one that was cut short or damaged.",
+)
+@click.option(
     "--frames-per-second",
     type=click.FloatRange(0.1, 120.0),
     help=f"With --recording: frames in a second of simulated time; {FRAMES_PER_SECOND:g} when left out.",
@@ -444,6 +470,7 @@ def command(
     recordings: tuple[Path, ...],
     frames_per_second: float | None,
     error_mm: float | None,
+    is_partial: bool,
     no_tours: bool,
     as_json: bool,
 ) -> None:
@@ -462,21 +489,30 @@ def command(
     is_site = is_web or len(cases) > 1
     wrong = _site_problems(cases, output, is_web) if is_site else []
     suffix = SITE if is_site else _suffix_of(output.name, bool(recordings))
-    problems = wrong + _motion_problems(suffix, model, recordings, frames_per_second, error_mm)
+    problems = wrong + _motion_problems(suffix, model, recordings, frames_per_second, error_mm, is_partial=is_partial)
     problems += _problems(suffix, model, scan, series, min_thickness_mm, 0 if recordings else level or 0)
     if problems:
         raise UsageError(problems)
     if is_site:
-        _write_site(cases, recordings, output, level, frames_per_second, tours=not no_tours, as_json=as_json)
+        _write_site(
+            cases,
+            recordings,
+            output,
+            level,
+            frames_per_second,
+            tours=not no_tours,
+            is_partial=is_partial,
+            as_json=as_json,
+        )
         return
     (case,) = cases
     export = _Export(case, open_bundle(case), scan, series, level or 0)
     if level:
         export.bundle.surface_role(level, place="--level")
     if suffix == PAGE:
-        made = _page(export, recordings, frames_per_second, tours=not no_tours)
+        made = _page(export, recordings, frames_per_second, tours=not no_tours, is_partial=is_partial)
     elif recordings:
-        made = _recorded(case, recordings[0], suffix, export.level, frames_per_second, error_mm)
+        made = _recorded(case, recordings[0], suffix, export.level, frames_per_second, error_mm, is_partial=is_partial)
     elif suffix in WRITERS:
         made = _Made(WRITERS[suffix](export), "the labels")
     else:

@@ -19,9 +19,11 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from heartcase.compiling.hearing import told_when_compiling
 from heartcase.pipeline.warnings import CaseWarning, WarningGrade, counted, grouped
 
 __all__ = [
+    "compiling_told",
     "echo_json",
     "echo_warnings",
     "error_console",
@@ -31,6 +33,16 @@ __all__ = [
     "print_table",
     "working",
 ]
+
+
+_COMPILING = (
+    "  compiling kernels that this machine has not compiled yet, which is kept: up to some minutes, once after an "
+    "installation"
+)
+_SILENT_S = 2.0
+"""Compiling that takes less is not told."""
+_told: list[bool] = []
+"""Whether this process said so."""
 
 
 def json_ready(value: Any) -> Any:
@@ -84,6 +96,20 @@ def working(words: str) -> Iterator[None]:
     console = error_console()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         progress.add_task(words, total=None)
+        with compiling_told(console):
+            yield
+
+
+@contextlib.contextmanager
+def compiling_told(console: Console) -> Iterator[None]:
+    """Say on a console, once in a command, that kernels are being compiled, where that takes a while."""
+
+    def say() -> None:
+        if not _told:
+            _told.append(True)
+            console.print(_COMPILING, highlight=False, soft_wrap=True)
+
+    with told_when_compiling(say, after_s=_SILENT_S):
         yield
 
 

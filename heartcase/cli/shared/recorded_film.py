@@ -35,7 +35,14 @@ class Animation:
 
 
 def animation_of(
-    recording: Path, case: Path, suffix: str, *, level: int, frames_per_second: float, error_mm: float
+    recording: Path,
+    case: Path,
+    suffix: str,
+    *,
+    level: int,
+    frames_per_second: float,
+    error_mm: float,
+    is_partial: bool = False,
 ) -> Animation:
     """The file of a recording in motion.
 
@@ -51,6 +58,8 @@ def animation_of(
         Frames in a second of simulated time.
     error_mm
         How far a vertex of a GLB may be off in a frame, mm.
+    is_partial
+        Whether one that was cut short or damaged is shown as far as it is whole.
 
     Raises
     ------
@@ -60,7 +69,7 @@ def animation_of(
     """
     if suffix != ".glb":
         check_animation_name(Path(f"animation{suffix}"))
-    opened = open_recording(recording)
+    opened = open_recording(recording, partial=is_partial)
     check_frame_count(opened, frames_per_second)
     loaded = load_case(case, needs=("surface", "colours", "tissue"), level=level)
     tissue = loaded.tissue if opened.header.tissue_sha256 else TissueSamples.everywhere()

@@ -13,6 +13,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from heartcase.cli.shared.output import compiling_told
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.scripts.script import SimulationScript
 from heartcase.simulator.engine.backends import Backend
@@ -226,7 +227,7 @@ def stitch_lines(summary: SessionSummary) -> Iterator[str]:
 def session_bar(words: str, seconds: float) -> Iterator[Callable[[float], None]]:
     """A progress bar in simulated time, shown from the start; what it gives is told the time in s.
 
-    The first steps may wait for kernels to be compiled: until they are done, the sign before the words turns.
+    The first steps may wait for kernels to be compiled, which a line says then.
     """
     console = Console(stderr=True)
     progress = Progress(
@@ -241,5 +242,5 @@ def session_bar(words: str, seconds: float) -> Iterator[Callable[[float], None]]
         disable=not console.is_terminal,
     )
     task = progress.add_task("", total=seconds)
-    with progress:
+    with progress, compiling_told(console):
         yield lambda time_s: progress.update(task, completed=time_s)

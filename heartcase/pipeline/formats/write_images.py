@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from heartcase.pipeline.data import Scan, Segmentation
 from heartcase.pipeline.formats.labels.segments import segment_table
+from heartcase.pipeline.formats.volumes.nifti_intent import INTENT_AT, LABEL_INTENT
 from heartcase.pipeline.formats.volumes.quiet_itk import quiet_itk
 from heartcase.schemas.errors import UsageError
 from heartcase.schemas.files import atomic_write
@@ -53,7 +55,7 @@ def write_segmentation(segmentation: Segmentation, path: Path | str) -> None:
         Labels, geometry and label table.
     path
         .seg.nrrd with the names, colours and codes of the labels as 3D Slicer reads them; or .nii, .nii.gz, .nrrd or
-        .mha with the values alone.
+        .mha with the values alone, which NIfTI says to be labels.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def write_segmentation(segmentation: Segmentation, path: Path | str) -> None:
     """
     path = Path(path)
     pairs = segment_table(segmentation) if path.name.lower().endswith(".seg.nrrd") else {}
-    _write(path, _image_bytes(segmentation.labels, segmentation.geometry, _suffix(path), pairs))
+    _write(path, _image_bytes(segmentation.labels, segmentation.geometry, _suffix(path), pairs, intent=LABEL_INTENT))
 
 
 def segmentation_nrrd_bytes(
@@ -79,7 +81,7 @@ def segmentation_nrrd_bytes(
 
 def label_values_bytes(segmentation: Segmentation, suffix: str) -> bytes:
     """Content of a file of the label values alone; ``suffix`` is one of :data:`WRITE_SUFFIXES`."""
-    return _image_bytes(segmentation.labels, segmentation.geometry, suffix, {})
+    return _image_bytes(segmentation.labels, segmentation.geometry, suffix, {}, intent=LABEL_INTENT)
 
 
 def _suffix(path: Path) -> str:
@@ -89,7 +91,9 @@ def _suffix(path: Path) -> str:
     raise UsageError(f"the file name must end in one of: {', '.join(WRITE_SUFFIXES)}, .seg.nrrd", place="output")
 
 
-def _image_bytes(values: npt.NDArray[Any], geometry: Geometry, suffix: str, pairs: Mapping[str, str]) -> bytes:
+def _image_bytes(
+    values: npt.NDArray[Any], geometry: Geometry, suffix: str, pairs: Mapping[str, str], *, intent: int = 0
+) -> bytes:
     import SimpleITK
 
     image = SimpleITK.GetImageFromArray(values)
@@ -104,6 +108,9 @@ def _image_bytes(values: npt.NDArray[Any], geometry: Geometry, suffix: str, pair
         try:
             SimpleITK.WriteImage(image, str(file), useCompression=not is_nifti)
             content = file.read_bytes()
+            if is_nifti:
+                # ITK writes none
+                content = content[:INTENT_AT] + intent.to_bytes(2, sys.byteorder) + content[INTENT_AT + 2 :]
         except (RuntimeError, OSError):
             raise UsageError("the volume cannot be written: is the disk full?", place="output") from None
     # ITK compresses NIfTI at a level of its own, several times as slow for little

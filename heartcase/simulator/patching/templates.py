@@ -58,12 +58,13 @@ def _page(sheet: FlatSheet, name: str) -> _Page:
     bar = np.array([[(_MARGIN_MM, foot - 1.0), (_MARGIN_MM + _BAR_MM, foot - 1.0)]])
     ends = [[(x, foot - 2.0), (x, foot)] for x in (_MARGIN_MM, _MARGIN_MM + _BAR_MM)]
     least, most = 100.0 * (sheet.stretch_least - 1.0), 100.0 * (sheet.stretch_most - 1.0)
-    cut = "" if sheet.scale == 1.0 else f"; cut to {100 * sheet.scale:.3g} % of that size"
-    said = (
+    said = [
         f"{name}: {sheet.area_mm2:.0f} mm2, rim {sheet.perimeter_mm:.0f} mm, {sheet.rim_count} stitches (ticks)",
-        f"Laid out flat; on the heart it is stretched by {least:+.1f} to {most:+.1f} %{cut}",
+        f"Laid out flat; on the heart it is stretched by {least:+.1f} to {most:+.1f} %",
         "Print at 100 %: the bar is 10 mm. Not a medical device",
-    )
+    ]
+    if sheet.scale != 1.0:
+        said.insert(2, f"Drawn at {100 * sheet.scale:.3g} % of the size that it fills: cut along it as it is")
     texts = tuple((_MARGIN_MM, foot - 3.0 - _TEXT_MM * (1.3 * number + 1.0), text) for number, text in enumerate(said))
     return _Page(width, height, points, np.concatenate([ticks, bar, np.array(ends)]), texts)
 

@@ -53,10 +53,12 @@ def page_of(
     level: int,
     frames_per_second: float,
     tours: bool = True,
+    is_partial: bool = False,
     told: Callable[[float], None] = lambda _: None,
 ) -> PageResult:
     """The page of a case with its recordings and its guided tours.
 
+    With ``is_partial`` a recording that was cut short or damaged is played as far as it is whole.
     A tour that cannot be read is left out, and one that could not be done to its end ends before. ``told`` hears which
     part of all that is to be played is done, 0 to 1.
 
@@ -72,7 +74,7 @@ def page_of(
     from heartcase.studio.offline.web_page import web_page
     from heartcase.studio.operating.scene.normal_map import load_normal_map
 
-    opened = _opened(recordings, frames_per_second)
+    opened = _opened(recordings, frames_per_second, is_partial=is_partial)
     loaded = load_case(case, needs=("surface", "structures", "cell_labels", "tissue"), level=level)
     toured, problems = tours_of(loaded, case) if tours else ([], ())
     acted = [one for one in toured if one.has_acts]
@@ -119,11 +121,12 @@ def site_of(
     level: int | None,
     frames_per_second: float,
     tours: bool = True,
+    is_partial: bool = False,
     say: Callable[[str], None],
 ) -> SiteResult:
     """The site of some cases; each recording is played on the page of the case that it is of.
 
-    Guided tours show there what they show; what their steps do is not done.
+    Guided tours show there what they show; what their steps do is not done. ``is_partial`` is as of :func:`page_of`.
 
     Raises
     ------
@@ -133,7 +136,7 @@ def site_of(
     """
     from heartcase.studio.offline.site import SiteCase, write_site
 
-    opened = _opened(recordings, frames_per_second)
+    opened = _opened(recordings, frames_per_second, is_partial=is_partial)
     if opened:
         lattices = {lattice_sha256(load_case(case, needs=("grid",)).model) for case in cases}
         lost = [name for name, one in opened if one.header.lattice_sha256 not in lattices]
@@ -150,8 +153,8 @@ def site_of(
     return write_site(chosen, out, level=level, frames_per_second=frames_per_second, say=say)
 
 
-def _opened(recordings: Sequence[Path], frames_per_second: float) -> list[tuple[str, Recording]]:
-    found = [(recording.stem, open_recording(recording)) for recording in recordings]
+def _opened(recordings: Sequence[Path], frames_per_second: float, *, is_partial: bool) -> list[tuple[str, Recording]]:
+    found = [(recording.stem, open_recording(recording, partial=is_partial)) for recording in recordings]
     for _, one in found:
         check_frame_count(one, frames_per_second)
     return found

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gzip
 import os
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from heartcase.pipeline.formats.volumes.nifti_intent import INTENT_AT, LABEL_INTENT
 from heartcase.schemas.bundle.format import MANIFEST_NAME
 from heartcase.schemas.errors import UsageError
 
@@ -20,6 +23,7 @@ OUTSIDE = "outside"
 _LOOKED_AT_MAX = 20_000
 """Entries of a folder that are looked at, at most."""
 _SCANS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
+_SEGMENTATIONS = (".seg.nrrd", ".seg.nhdr")
 _DICOM = (".dcm", ".dicom", ".ima")
 _ORDER = ("recipe", "case", "folder", "scan", "zip", "dicom")
 _DICOM_START = 128
@@ -163,7 +167,7 @@ def _kind(entry: os.DirEntry[str]) -> str | None:
         if name.endswith(".toml"):
             return "recipe" if b"heartcase_recipe" in _first_bytes(entry.path) else None
         if name.endswith(_SCANS):
-            return "scan"
+            return None if _holds_labels(entry.path, name) else "scan"
         if name.endswith(".zip"):
             return "zip"
         if name.endswith(_DICOM):
@@ -174,6 +178,23 @@ def _kind(entry: os.DirEntry[str]) -> str | None:
         # it may be gone, or closed to this user
         return None
     return None
+
+
+def _holds_labels(path: str, name: str) -> bool:
+    """Whether a volume says that it holds labels, such as the truth beside a synthetic scan: it is no scan."""
+    if name.endswith(_SEGMENTATIONS):
+        return True
+    if not name.endswith((".nii", ".nii.gz")):
+        return False
+    opened = gzip.open if name.endswith(".gz") else open
+    try:
+        with opened(path, "rb") as file:
+            header = file.read(INTENT_AT + 2)
+    except (OSError, EOFError, zlib.error):
+        # opening it says what is wrong
+        return False
+    written = header[INTENT_AT:]
+    return any(int.from_bytes(written, order) == LABEL_INTENT for order in ("little", "big"))
 
 
 def _first_bytes(path: str) -> bytes:

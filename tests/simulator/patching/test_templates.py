@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,7 +34,9 @@ def test_the_svg_is_to_scale():
     assert (points < (width, height)).all()
     texts = [text.text for text in root.iter(f"{SVG}text")]
     assert texts[0].startswith(f"patch <A>: {SHEET.area_mm2:.0f} mm2")
-    assert texts[1].endswith("%; cut to 90 % of that size")
+    assert texts[2] == "Drawn at 90 % of the size that it fills: cut along it as it is"
+    whole = ET.fromstring(template_svg(replace(SHEET, scale=1.0), "patch"))
+    assert not any("Drawn at" in text.text for text in whole.iter(f"{SVG}text"))
 
 
 def test_the_pdf_is_to_scale_and_its_table_points_at_its_objects():

@@ -185,6 +185,12 @@ def test_each_refusal_is_a_line(case_path, recorded, script, tmp_path, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == before
     assert main(["replay", str(damaged), "--case", str(case_path), "--partial"]) == 0
     assert "cut short or damaged: this is what is whole of it" in capsys.readouterr().out
+    film = tmp_path / "x.glb"
+    assert main(["export", str(case_path), "--recording", str(damaged), "--partial", "-o", str(film)]) == 0
+    assert f"to {film}" in capsys.readouterr().out
+    film.unlink()
+    assert main(["export", str(case_path), "--partial", "-o", str(film)]) == 2
+    assert "--partial: serves only with --recording" in capsys.readouterr().err
     assert main(["validate", str(damaged)]) == 1
     assert "cut short" in capsys.readouterr().out
 

@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from heartcase.pipeline.data import Scan, Segmentation
 from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.pipeline.formats.write_images import write_scan, write_segmentation
+from heartcase.schemas.geometry import Geometry
+from heartcase.schemas.labels import Label, LabelTable, Role
 from heartcase.schemas.recipe.recipe import load_recipe, parse_recipe, read_recipe_text
 from heartcase.studio.starting.recent import COUNT_MAX, Recent, state_folder
 from heartcase.studio.starting.registry import Registry
@@ -74,6 +78,24 @@ def test_a_folder_shows_what_the_studio_opens_and_nothing_else(tmp_path):
     assert Roots.of([tmp_path]).listing(tmp_path / "a_folder")["parent"] == str(tmp_path)
     # a file that is named is shown in its folder
     assert Roots.of([tmp_path]).listing(tmp_path / "painted.toml")["chosen"] == "painted.toml"
+
+
+def test_a_volume_of_labels_is_no_scan(tmp_path):
+    geometry = Geometry.of(shape=(3, 4, 5))
+    labels = Segmentation(
+        np.zeros(geometry.shape, np.uint8),
+        geometry,
+        LabelTable(labels=(Label(value=1, name="myocardium", role=Role.MYOCARDIUM),)),
+    )
+    scan = Scan(np.zeros(geometry.shape, np.float32), geometry)
+    for name in ("truth.nii.gz", "truth.nii", "truth.seg.nrrd"):
+        write_segmentation(labels, tmp_path / name)
+    write_scan(scan, tmp_path / "scan.nii.gz")
+    write_scan(scan, tmp_path / "other.nii")
+    (tmp_path / "damaged.nii.gz").write_bytes(b"\x1f\x8bx")
+    found = Roots.of([tmp_path]).listing(None)
+    assert [one["name"] for one in found["entries"]] == ["damaged.nii.gz", "other.nii", "scan.nii.gz"]
+    assert {one["kind"] for one in found["entries"]} == {"scan"}
 
 
 def test_the_page_begins_where_the_studio_was_started(tmp_path):
