@@ -1,6 +1,7 @@
 # make case   sets up an environment, builds a sample case from a synthetic scan and pulls on it
 # make test   everything that must hold before a change goes in
 # make thorough  more sizes, seeds and shapes of what make test tries; the gate runs it, too
+# make journey  the studio from a DICOM folder to an operated heart, in a browser; pictures of each step in out/journey
 # make docs   the documentation as a site: out/site/index.html
 # make bench  run time against error (minutes)
 # make versions  every kernel compiles, and a sample case comes out as on the Python that ran this before
@@ -13,7 +14,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 LOCK ?= requirements.lock
 
-.PHONY: installed reference case test thorough check format lint types imports docs plain bench versions lowest newest gpu lock clean same-python
+.PHONY: installed reference case test thorough journey check format lint types imports docs plain bench versions lowest newest gpu lock clean same-python
 
 # An environment keeps the Python that it was made with: it is not used where another one is asked for.
 # No comma may stand in the script: make would end the argument of its $(if) there.
@@ -58,6 +59,11 @@ test:
 
 thorough: $(VENV)/installed
 	$(BIN)/python -m pytest -m 'thorough and not slow'
+
+# Alone on the machine: it waits for a build and for what is compiled.
+journey: $(VENV)/installed
+	rm -rf out/journey
+	HEARTCASE_SHOTS=out/journey $(BIN)/python -m pytest -m slow -s tests/studio/page/test_journey.py -k childs
 
 # All that is checked without running the package; .pre-commit-config.yaml runs the same one by one.
 check: format lint types imports docs
