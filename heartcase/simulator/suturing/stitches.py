@@ -75,6 +75,8 @@ class StitchState:
     """How far the places are apart, mm: more than the length by what the thread is stretched."""
     row: str = ""
     """Row that it belongs to; empty for none."""
+    drawn_n: float | None = None
+    """Tension that it is drawn with, N; None where its length is held, as when it is tied."""
     is_running: bool = False
     """Whether one thread with one tension runs through all stitches of its row."""
 

@@ -256,7 +256,13 @@ def described(live: LiveFrame) -> dict[str, Any]:
             for name, one in frame.instruments.items()
         ],
         "stitches": [
-            {"name": name, "places_mm": one.places_mm.tolist(), "force_n": one.force_n, "tied": one.is_tied}
+            {
+                "name": name,
+                "places_mm": one.places_mm.tolist(),
+                "force_n": one.force_n,
+                "drawn_n": one.drawn_n,
+                "tied": one.is_tied,
+            }
             for name, one in frame.stitches.items()
         ],
         "patches": [

@@ -44,8 +44,10 @@ def test_a_thread_drawn_with_a_tension_pulls_with_it_and_keeps_it_when_it_is_tie
     simulation.step(50)
     state = simulation.stitch_state(stitch)
     assert state.force_n == pytest.approx(heavy, rel=1e-5)
+    assert state.drawn_n == pytest.approx(heavy, rel=1e-5)
     simulation.tie(stitch)
     tied = simulation.stitch_state(stitch)
+    assert tied.drawn_n is None
     assert tied.is_tied
     assert tied.force_n == pytest.approx(heavy, rel=1e-5)
     assert tied.length_mm == pytest.approx(state.length_mm, abs=1e-6)

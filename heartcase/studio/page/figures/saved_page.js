@@ -31,12 +31,14 @@ export class SavedPage {
     /** @type {HTMLButtonElement} */ (find("save-page")).disabled = state === "working";
     const bar = /** @type {HTMLProgressElement} */ (find("save-page-bar"));
     bar.hidden = find("save-page-cancel").hidden = state !== "working";
-    if (fraction === undefined) bar.removeAttribute("value");
+    // until something is played through, nobody knows how far it is
+    const isCounted = (fraction ?? 0) > 0;
+    if (!isCounted) bar.removeAttribute("value");
     else bar.value = fraction;
     const link = find("saved-page");
     link.hidden = state !== "saved";
     link.textContent = state === "saved" ? say("save_page_take", { name }) : "";
-    const said = state === "working" ? say("save_page_working", { percent: figure(100 * (fraction ?? 0), 0) })
+    const said = state === "working" ? isCounted ? say("save_page_working", { percent: figure(100 * fraction, 0) }) : say("save_page_packing")
       : state === "saved" ? say("save_page_saved", { name, folder, mb: figure(byteCount / 1e6, 1) })
       : state === "failed" ? say("save_page_failed") : "";
     find("save-page-state").replaceChildren(said, ...(problems?.length ? [problemList(problems)] : []));

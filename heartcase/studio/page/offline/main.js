@@ -20,7 +20,7 @@ import { Colouring, Lit } from "./colouring.js";
 import { followingOf } from "./following.js";
 import { Frame, LocalHands } from "./hands.js";
 import { Looking, SIDES } from "./looking.js";
-import { Marks } from "./marks.js";
+import { Marks, tornBefore } from "./marks.js";
 import { runNaming } from "./naming.js";
 import { Picking } from "./picking.js";
 import { firstAct, momentsOf, Playing } from "./playing.js";
@@ -138,7 +138,7 @@ async function run() {
     let at = 0;
     marks.marks = facts.landmarks.map((/** @type {import("./marks.js").Mark} */ mark) => {
       const points = mark.points.map(() => /** @type {any} */ ([...landmarks.places.subarray(3 * at, 3 * ++at)]));
-      return { ...mark, points };
+      return { ...mark, points, torn: tornBefore(mark.points, points, mark.closed) };
     });
     vessels.follow(nodes.displacement, arrays.cell_corners, place, isAtRest);
   }

@@ -6,12 +6,27 @@ import { figure, say } from "../shared/words.js";
 
 /** @typedef {import("../operating/camera.js").Camera} Camera */
 /** @typedef {import("../operating/camera.js").Vector} Vector */
-/** @typedef {{name: string, kind: string, closed: boolean, depth: number | null, points: Vector[]}} Mark */
+/** `torn` are the numbers of points before which the line has no piece. @typedef {{name: string, kind: string, closed: boolean, depth: number | null, points: Vector[], torn?: ReadonlySet<number>}} Mark */
 /** @typedef {import("../operating/orientation.js").Write} Write */
 
 const LINE_PX = 15;
 /** A landmark is drawn to this far before a plane that cuts, mm. */
 const BEFORE_MM = 2;
+/** A piece of a line that is longer than so many times what it was, and so many mm, goes from one lip of an incision to the other. */
+const TORN = 1.4;
+const TORN_MM = 0.5;
+
+/**
+ * Points of a line before which it is torn: its neighbours went with other lips of an incision.
+ * @param {readonly Vector[]} rest @param {readonly Vector[]} now @param {boolean} isClosed @returns {Set<number>}
+ */
+export function tornBefore(rest, now, isClosed) {
+  const apart = (/** @type {readonly Vector[]} */ points, /** @type {number} */ n) => {
+    const [one, other] = [points[n], points[(n || points.length) - 1]];
+    return Math.hypot(one[0] - other[0], one[1] - other[1], one[2] - other[2]);
+  };
+  return new Set([...rest.keys()].filter((n) => (n || isClosed) && apart(now, n) > TORN * apart(rest, n) + TORN_MM));
+}
 
 export class Marks {
   /** @type {readonly Mark[]} */
@@ -48,8 +63,10 @@ export class Marks {
       pen.fill();
       pen.stroke();
     } else {
-      points.forEach(([x, y], n) => (n ? pen.lineTo(x, y) : pen.moveTo(x, y)));
-      if (mark.closed) pen.closePath();
+      const { torn } = mark;
+      points.forEach(([x, y], n) => (n && !torn?.has(n) ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+      if (mark.closed && !torn?.size) pen.closePath();
+      else if (mark.closed && !torn?.has(0)) pen.lineTo(points[0][0], points[0][1]);
       const isIncision = mark.kind === "incision";
       for (const [wide, colour, dashes] of /** @type {[number, string, number[]][]} */ ([[isIncision ? 7 : 6, paper, []], [isIncision ? 3.5 : 2.5, ink, isIncision ? [9, 6] : []]])) {
         Object.assign(pen, { lineWidth: wide, strokeStyle: colour });

@@ -24,6 +24,7 @@ import { Pointer } from "./pointer.js";
 import { ScanControls } from "./scan_controls.js";
 import { SecondView } from "./second_view.js";
 import { Surroundings } from "./surroundings.js";
+import { tensionMissed } from "./tied.js";
 import { fillSpeeds, TimeLine } from "./time_line.js";
 import { showCursor, ToolBar } from "./tool_bar.js";
 
@@ -490,7 +491,9 @@ function run() {
     const tiedBefore = before?.stitches.filter((/** @type {any} */ one) => one.tied).length ?? tied.length;
     if (before?.mode === "running" && header.mode === "running" && tied.length > tiedBefore) {
       const force = Math.max(...tied.map((/** @type {any} */ one) => one.force_n));
-      notice("", [{ place: "", message: say("operate_tied", { count: String(tied.length), force: figure(force, 2) }) }]);
+      const missed = tensionMissed(before?.stitches ?? [], tied);
+      const less = missed === null ? "" : ` ${say("operate_tied_less", { force: figure(missed.force, 2), asked: figure(missed.asked, 2) })}`;
+      notice("", [{ place: "", message: say("operate_tied", { count: String(tied.length), force: figure(force, 2) }) + less }]);
     }
     const isOpen = isOpening && header.mode === "playing";
     if (isOpen || (noticeUntil > 0 && performance.now() > noticeUntil)) notice("", []);
