@@ -116,7 +116,7 @@ def command(
             tell,
             film_every=film_every,
             wants_picture=picture is not None,
-            case_id=case_id,
+            title=_title(loaded.manifest.name, case_id),
         )
         summary = run_script(simulation, script, on_frame=audience.watch)
         shot = audience.furthest_picture()
@@ -164,12 +164,12 @@ class _Audience:
         *,
         film_every: int,
         wants_picture: bool,
-        case_id: str | None,
+        title: str,
     ) -> None:
         self.camera = camera
         self.colours = np.zeros((0, 3), np.uint8) if colours is None else colours
         self.tell = tell
-        self.title = f"{case_id} " if case_id else ""
+        self.title = title
         self.film_every = film_every
         self.wants_picture = wants_picture
         self.frame_number = 0
@@ -204,7 +204,7 @@ class _Audience:
         from heartcase.pipeline.report.montage import montage
 
         pictures = {
-            f"{self.title}at the start": self.camera.take(self.rest_seen),
+            f"{self.title}, at the start": self.camera.take(self.rest_seen),
             f"at {self.furthest_time_s:.2f} s, moved furthest": self.camera.take(self.furthest_seen),
         }
         if self.sewn_seen is not None:
@@ -212,6 +212,8 @@ class _Audience:
         return montage(pictures, columns=len(pictures))
 
 
+_NAME_LONGEST = 30
+"""Letters of a case's name above a picture."""
 _INVERTED_MANY = 2
 """Cells that may turn on the way without a word."""
 
@@ -246,6 +248,12 @@ def _blades(script: SimulationScript | None, near_cuts: bool, *, is_drawn: bool)
     if not blades:
         raise UsageError("needs a --script with [[cuts]] whose poses are places", place="--near-cuts")
     return blades
+
+
+def _title(name: str, case_id: str | None) -> str:
+    """What stands above the first picture: the case's name, shortened where it is long, and its identifier."""
+    short = name if len(name) <= _NAME_LONGEST else f"{name[: _NAME_LONGEST - 1]}\u2026"
+    return f"{short} ({case_id})" if case_id else short
 
 
 def _filmer(case: Case, blades_mm: list[Float64]) -> Filmer:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -179,9 +180,12 @@ def test_command_refuses_in_one_line(case_path, capsys, arguments, code, message
 
 def test_animation_and_picture_show_the_deformation(case_path, tmp_path, capsys):
     image = pytest.importorskip("PIL.Image")
+    montage = pytest.importorskip("heartcase.pipeline.report.montage")
     film, picture = tmp_path / "pull.gif", tmp_path / "pull.png"
     arguments = ["--seconds", "0.2", "--animation", str(film), "--picture", str(picture)]
-    assert main(["simulate", str(case_path), *arguments]) == 0
+    with mock.patch.object(montage, "montage", wraps=montage.montage) as laid_out:
+        assert main(["simulate", str(case_path), *arguments]) == 0
+    assert next(iter(laid_out.call_args.args[0])) == "block, at the start"
     assert f"wrote the picture to {picture}\nwrote the animation to {film}\n" in capsys.readouterr().out
     with image.open(film) as frames:
         assert frames.n_frames == 4
