@@ -2,23 +2,28 @@
 
 The bar is square and ten times as long as thick, 100 mm of tissue of 30 kPa, swings by a thousandth of its length, and
 is not damped. Truth: Timoshenko's beam, free at both ends (T. C. Huang, J. Appl. Mech. 28, 1961); at this slenderness
-it is within some 1e-4 of the solid. Laws and steps are the methods, cells across the thickness the sweep.
+it is within some 1e-4 of the solid. Laws and steps are the methods, cells across the thickness the sweep. Peers are the
+solvers of Newton on NVIDIA Warp, on the CPU; they hold what they hold at all steps and iterations that are named.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
+from benchmarks.runner.cases import MethodSkipped
 from heartcase.schemas.arrays import Float32, Float64
 from heartcase.simulator.lattice.model import LatticeModel, make_model
 from heartcase.simulator.lattice.moduli import ForceLaw, LawName
 from heartcase.simulator.lattice.state import State
 from heartcase.simulator.simulation import Simulation
+
+if TYPE_CHECKING:
+    from benchmarks.swing_newton import Solver
 
 SLENDERNESS = 10
 LENGTH_MM = 100.0
@@ -74,9 +79,47 @@ def _run(law: LawName, step_part: float) -> Callable[[Inputs], Output]:
     return run
 
 
+def _run_newton(solver: Solver, step_s: float, iterations: int) -> Callable[[Inputs], Output]:
+    def run(inputs: Inputs) -> Output:
+        try:
+            from benchmarks.swing_newton import NewtonBar
+        except ImportError:
+            raise MethodSkipped("it needs newton: pip install '.[bench]'") from None
+        model = _bar(inputs, "springs")
+        shape = _shape(model, inputs.ratio)
+        youngs_pa, density = _tissue(model)
+        bar = NewtonBar(
+            model,
+            shape,
+            solver=solver,
+            iterations=iterations,
+            youngs_pa=youngs_pa,
+            ratio=inputs.ratio,
+            density=density,
+        )
+        weight = shape * model.node_mass[:, None].astype(float)
+        swings = [1.0]
+        for _ in range(round(SECONDS / SAMPLE_S)):
+            bar.step(round(SAMPLE_S / step_s), step_s)
+            swings.append(float((weight * bar.displacement).sum() / (weight * shape).sum()))
+        return Output(SAMPLE_S * np.arange(len(swings)), np.array(swings), model)
+
+    return run
+
+
 LAWS: dict[str, LawName] = {"springs": "springs", "element": "element"}
 STEPS = {"": 1.0, "_half_step": 0.5, "_quarter_step": 0.25}
-METHODS = {f"{name}{word}": _run(law, part) for name, law in LAWS.items() for word, part in STEPS.items()}
+PEERS: dict[str, tuple[Solver, float, int]] = {
+    "vbd": ("vbd", 1e-3, 10),
+    "vbd_more": ("vbd", 5e-4, 40),
+    "xpbd": ("xpbd_springs", 1e-4, 2),
+    "xpbd_more": ("xpbd_springs", 5e-5, 2),
+    "xpbd_tetrahedra": ("xpbd", 2.5e-4, 4),
+}
+"""Solver, step in s, and iterations in a step."""
+METHODS = {f"{name}{word}": _run(law, part) for name, law in LAWS.items() for word, part in STEPS.items()} | {
+    f"newton_{name}": _run_newton(*given) for name, given in PEERS.items()
+}
 
 
 def errors(inputs: Inputs, output: Output) -> dict[str, float]:
@@ -103,8 +146,13 @@ def errors(inputs: Inputs, output: Output) -> dict[str, float]:
 def _unit_hz(model: LatticeModel) -> float:
     """sqrt(E I / (rho A L^4)) of the bar, 1/s."""
     thickness_m, length_m = 1e-3 * LENGTH_MM / SLENDERNESS, 1e-3 * LENGTH_MM
-    youngs_pa, density = 1e3 * float(model.cell_stiffness[0]) * 30.0, 1060.0 * float(model.cell_density[0])
+    youngs_pa, density = _tissue(model)
     return float(np.sqrt(youngs_pa * thickness_m**2 / 12.0 / density) / length_m**2)
+
+
+def _tissue(model: LatticeModel) -> tuple[float, float]:
+    """Young's modulus in Pa and density in kg/m3."""
+    return 1e3 * float(model.cell_stiffness[0]) * 30.0, 1060.0 * float(model.cell_density[0])
 
 
 def _constants(ratio: float) -> tuple[float, float]:
