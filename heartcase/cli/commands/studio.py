@@ -26,9 +26,8 @@ _LEFT = ("", "; the recipe holds every stroke", "; the recipes hold every stroke
 @click.option(
     "--out",
     type=OutputPath(is_folder=True),
-    default=Path(),
-    help="Where the case of PATH goes, with the build's cache; here by default. What is chosen on the start page goes "
-    "beside its recipe.",
+    help="Where the case of PATH goes, with the build's cache and what can be taken back; by default where it went "
+    "when the recipe was open last, else beside the recipe, as for what is chosen on the start page.",
 )
 @click.option(
     "--recipe",
@@ -41,7 +40,7 @@ _LEFT = ("", "; the recipe holds every stroke", "; the recipes hold every stroke
 )
 @click.option("--browser/--no-browser", default=True, help="Whether to open the page in the browser.")
 def command(
-    path: Path | None, out: Path, recipe: Path | None, port: int, browser: bool, choice: dict[str, Any]
+    path: Path | None, out: Path | None, recipe: Path | None, port: int, browser: bool, choice: dict[str, Any]
 ) -> None:
     """Make a case in the browser, on this machine alone: paint on a scan, build, operate.
 
@@ -60,7 +59,10 @@ def command(
         if browser:
             webbrowser.open(address)
 
-    left = serve(**opening, out=out, port=port, ready=ready)
+    def noted(note: str) -> None:
+        click.echo(f"note: {note}", err=True)
+
+    left = serve(**opening, out=out, port=port, ready=ready, noted=noted)
     click.echo(f"The studio is closed{_LEFT[min(left.recipe_count, 2)]}.")
     for recording in left.recordings:
         click.echo(f"Recorded: {recording}")

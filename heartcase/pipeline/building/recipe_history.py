@@ -25,7 +25,7 @@ from heartcase.schemas.recipe.recipe import Recipe, parse_recipe, read_recipe_te
 from heartcase.schemas.recipe.settings import Stroke
 from heartcase.schemas.toml_places import toml_places
 
-__all__ = ["STROKE", "Act", "RecipeHistory", "open_history"]
+__all__ = ["STROKE", "Act", "RecipeHistory", "history_file", "open_history"]
 
 STROKE = "strokes"
 """Kind of an act that painted a stroke."""
@@ -289,6 +289,12 @@ class RecipeHistory:
             self._is_logged = False
 
 
+def history_file(path: Path, *, out: Path) -> Path:
+    """File that remembers what was done to a recipe that is built in this directory."""
+    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
+    return out / ".heartcase-cache" / "studio" / f"{name}.jsonl"
+
+
 def open_history(path: Path, *, out: Path) -> RecipeHistory:
     """Open a recipe with all that was done to it, as far as that is known.
 
@@ -310,8 +316,7 @@ def open_history(path: Path, *, out: Path) -> RecipeHistory:
     # for its refusals; line ends must stay as they are
     read_recipe_text(path)
     text = path.read_bytes().decode("utf-8")
-    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:16]
-    log = out / ".heartcase-cache" / "studio" / f"{name}.jsonl"
+    log = history_file(path, out=out)
     acts, count = of_strokes = _of_strokes(text)
     remembered = _remembered(log, text)
     # What is taken back must be what painting holds.

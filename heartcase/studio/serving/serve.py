@@ -29,9 +29,10 @@ def serve(
     recipe: Path | None = None,
     case: Path | None = None,
     folder: Path | None = None,
-    out: Path,
+    out: Path | None = None,
     port: int,
     ready: Callable[[str], None],
+    noted: Callable[[str], None] = lambda _: None,
 ) -> Left:
     """Serve the studio's pages, until the process is interrupted; what it leaves then.
 
@@ -43,11 +44,14 @@ def serve(
         Where the start page looks, and nowhere else; the user's own folder, the present one and that of the recipe or
         the case when left out. It begins in the last one then, unless nothing in it can be opened.
     out
-        Directory that the recipe's case is built in, with the build's cache.
+        Directory that the recipe's case is built in, with the build's cache; when left out, the one that the start page
+        takes.
     port
         Port to listen on; any free one at 0.
     ready
         Told the address with its token, once the server can be reached.
+    noted
+        Told where else there is work on the recipe, if there is none where it is opened.
 
     Raises
     ------
@@ -62,6 +66,8 @@ def serve(
     roots = [folder] if folder else [Path.home(), Path.cwd(), begin]
     start = Start(registry, roots=roots, begin=begin, looks=folder is not None)
     if recipe is not None:
+        if (note := start.left_elsewhere(recipe, out=out)) is not None:
+            noted(note)
         address = start.open_recipe(recipe, out=out)
     elif case is not None:
         address = start.open_case(case)

@@ -92,6 +92,12 @@ class Recent:
                 return one
         raise UsageError("this is no longer in the list: load the page again", place="recent")
 
+    def out_of(self, recipe: Path) -> Path | None:
+        """Where a recipe's case was built when it was last open; None where that is not remembered."""
+        path = str(recipe.resolve())
+        found = next((one.out for one in self._read() if one.kind == "recipe" and one.path == path), "")
+        return Path(found) if found else None
+
     def shown(self, named: Callable[[Path], str | None] = lambda _: None) -> list[dict[str, Any]]:
         """The list for the page, the last one first: no path is in it.
 

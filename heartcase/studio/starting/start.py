@@ -25,6 +25,7 @@ from heartcase.studio.starting.requests import Begin, List, Look, Open, Reopen, 
 from heartcase.studio.starting.roots import Roots
 from heartcase.studio.starting.samples import copy_sample, shown_samples
 from heartcase.studio.starting.shown_series import shown_series
+from heartcase.studio.starting.whereabouts import building_folder, left_elsewhere
 
 __all__ = ["Start"]
 
@@ -79,15 +80,32 @@ class Start:
         self._following: set[Page] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
 
-    def open_recipe(self, path: Path, *, out: Path) -> str:
+    def open_recipe(self, path: Path, *, out: Path | None = None) -> str:
         """Open a recipe and remember it; the address of its page.
+
+        Parameters
+        ----------
+        path
+            The recipe's file.
+        out
+            Directory that its case is built in; when left out, as
+            :func:`heartcase.studio.starting.whereabouts.building_folder` says.
 
         Raises
         ------
         HeartcaseError
             It cannot be read.
         """
-        return self._open(_recipe_to_open(path, out))
+        return self._open(self._recipe_to_open(path, out))
+
+    def left_elsewhere(self, path: Path, *, out: Path | None = None) -> str | None:
+        """What is to be said of a recipe's work in another folder than it would be opened in; None for nothing.
+
+        Arguments and errors are those of :meth:`open_recipe`, before which it is asked.
+        """
+        found = self._recipe_to_open(path, out)
+        others = [self._recent.out_of(path), path.parent, Path.cwd()]
+        return left_elsewhere(path, found.name, found.out or path.parent, [one for one in others if one is not None])
 
     def open_case(self, path: Path) -> str:
         """Open a case and remember it; the address of its page.
@@ -180,12 +198,12 @@ class Start:
             case Look():
                 return {"kind": "series", "series": shown_series(self._roots.inside(request.path))}
             case Begin():
-                return _recipe_to_open(self._begun(request))
+                return self._new_recipe(self._begun(request))
             case Open():
                 path = self._roots.inside(request.path)
-                return _case_to_open(path) if path.is_dir() else _recipe_to_open(path)
+                return _case_to_open(path) if path.is_dir() else self._recipe_to_open(path)
             case Sample():
-                return _recipe_to_open(copy_sample(request.name, self._folder(request.folder)))
+                return self._new_recipe(copy_sample(request.name, self._folder(request.folder)))
             case Reopen(do="forget"):
                 self._recent.forget(request.key)
                 return {"kind": "done"}
@@ -196,7 +214,7 @@ class Start:
                     raise UsageError(
                         "it is no longer where it was: look for it, or take it off the list", place="recent"
                     )
-                return _case_to_open(path) if work.kind == "case" else _recipe_to_open(path, Path(work.out))
+                return _case_to_open(path) if work.kind == "case" else self._recipe_to_open(path)
 
     def _open(self, found: _ToOpen) -> str:
         if found.out is None:
@@ -206,6 +224,17 @@ class Start:
             address = self._registry.open_recipe(found.path, out=found.out).address
             self._recent.note("recipe", found.path, name=found.name, out=found.out)
         return address
+
+    def _recipe_to_open(self, path: Path, out: Path | None = None) -> _ToOpen:
+        # What is done to it is saved in it, and its case is built there.
+        refuse_inside_case(path, place="recipe")
+        out = building_folder(path, self._recent) if out is None else out
+        refuse_inside_case(out, place="folder")
+        return _ToOpen(path, parse_recipe(read_recipe_text(path), needs_markers=False).name, out)
+
+    def _new_recipe(self, path: Path) -> _ToOpen:
+        # another one may have had its name
+        return self._recipe_to_open(path, path.parent)
 
     def _begun(self, request: Begin) -> Path:
         """A recipe for a scan, written where it is asked for."""
@@ -234,15 +263,6 @@ class Start:
 
     async def _run(self, work: Callable[[], T]) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
-
-
-def _recipe_to_open(path: Path, out: Path | None = None) -> _ToOpen:
-    # What is done to it is saved in it, and its case is built there.
-    refuse_inside_case(path, place="recipe")
-    if out is not None:
-        refuse_inside_case(out, place="folder")
-    name = parse_recipe(read_recipe_text(path), needs_markers=False).name
-    return _ToOpen(path, name, path.parent if out is None else out)
 
 
 def _case_to_open(path: Path) -> _ToOpen:

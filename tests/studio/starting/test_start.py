@@ -6,11 +6,13 @@ import json
 import os
 import shutil
 import stat
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from heartcase.pipeline.building.recipe_history import history_file
 from heartcase.pipeline.data import Scan, Segmentation
 from heartcase.pipeline.formats.read_scan import read_scan
 from heartcase.pipeline.formats.write_images import write_scan, write_segmentation
@@ -244,6 +246,54 @@ def test_recent_work_can_be_opened_again_and_forgotten(tmp_path):
             assert page.hear("start")["recent"] == []
             assert page.ask(do="reopen", key=work["key"])["kind"] == "refused"
     assert (tmp_path / "moved.toml").exists()
+
+
+def folder_of(start, path, **given):
+    """Where a recipe is built that was opened, by the last of the list."""
+    start.open_recipe(path, **given)
+    return Path(start._recent._read()[0].out)
+
+
+def test_a_recipe_is_built_in_the_same_folder_whoever_opens_it_and_from_wherever(tmp_path, monkeypatch):
+    home, out, elsewhere = tmp_path / "home", tmp_path / "out", tmp_path / "elsewhere"
+    for folder in (home, out, elsewhere):
+        folder.mkdir()
+    path, _ = write_recipe(home)
+    monkeypatch.chdir(elsewhere)
+    state = tmp_path / "state"
+    start = Start(Registry("token"), roots=[home], state=state)
+    assert folder_of(start, path) == home
+    # what is said counts, and is remembered
+    assert folder_of(start, path, out=out) == out
+    start = Start(Registry("token"), roots=[home], state=state)
+    assert folder_of(start, path) == out
+    # what is gone is not made anew
+    (tmp_path / "gone").mkdir()
+    assert folder_of(start, path, out=tmp_path / "gone" / "out") == tmp_path / "gone" / "out"
+    (tmp_path / "gone").rmdir()
+    assert folder_of(start, path) == home
+
+
+def test_work_on_a_recipe_that_lies_in_another_folder_is_named(tmp_path, monkeypatch):
+    home, here = tmp_path / "home", tmp_path / "here"
+    home.mkdir()
+    here.mkdir()
+    path, _ = write_recipe(home)
+    monkeypatch.chdir(here)
+    start = Start(Registry("token"), roots=[home], state=tmp_path / "state")
+    assert start.left_elsewhere(path) is None
+    # heartcase build writes into the present folder
+    (here / "painted.case").mkdir()
+    (here / "painted.case" / "case.json").write_text("{}")
+    assert f'a case of this name lies in another folder; to go on with it: --out "{here}"' == start.left_elsewhere(path)
+    assert start.left_elsewhere(path, out=here) is None
+    history = history_file(path, out=home)
+    history.parent.mkdir(parents=True)
+    history.write_text("")
+    assert start.left_elsewhere(path) is None
+    history_file(path, out=here).parent.mkdir(parents=True)
+    (here / "painted.case" / "case.json").unlink()
+    assert "to take it back" in start.left_elsewhere(path, out=here)
 
 
 def test_recent_work_is_kept_in_a_private_file_and_is_bounded(tmp_path):
