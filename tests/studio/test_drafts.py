@@ -191,16 +191,19 @@ def test_what_cannot_be_taken_is_refused_says_why_and_leaves_nothing(recipe, mon
     assert path.read_bytes() == text
 
 
-def test_a_draft_for_a_recipe_that_another_program_changed_is_refused(recipe):
+def test_a_draft_for_a_recipe_that_another_program_changed_is_refused_and_the_recipe_opened_again(recipe):
     path, _ = recipe
     data, _ = volume(path)
-    with studio(path) as browser, page(browser):
+    with studio(path) as browser, page(browser) as talker:
         path.write_text(path.read_text() + "# by hand\n")
         there = names(path.parent)
         refused = send(browser, packed([("a.nii.gz", data)]))
         assert "another program changed" in refused.json()["problems"][0]["message"]
         assert names(path.parent) == there
         assert path.read_text().endswith("# by hand\n")
+        talker.hear("opened")
+        assert send(browser, packed([("a.nii.gz", data)])).json() == {"problems": []}
+        assert "# by hand\n" in path.read_text()
 
 
 def test_a_name_that_leads_elsewhere_is_not_written_over(recipe):

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heartcase.pipeline.building import recipe_history
+from heartcase.pipeline.building.recipe_history import RecipeHistory
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.studio.messages import labels_message, scan_message
@@ -148,6 +149,71 @@ def test_a_recipe_that_another_program_changes_is_opened_again(recipe):
         talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
         talker.ask(do="end")
         assert path.read_text().startswith(changed)
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        {"do": "end"},
+        {"do": "undo"},
+        {"do": "lock", "label": "aorta", "locked": True},
+        {"do": "add_label", "entry": {"name": "baffle", "role": "device"}},
+        {"do": "remove_label", "label": "coronary sinus"},
+        {"do": "set", "place": ["name"], "value": "another"},
+    ],
+)
+def test_every_act_on_a_recipe_that_another_program_changed_opens_it_again(recipe, act):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker, page(browser) as other:
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        path.write_text(path.read_text().replace('"painted"', '"changed"'))
+        changed = path.read_text()
+        refused = talker.ask(**act)
+        (problem,) = refused["problems"]
+        assert "it was opened again, and the last stroke, which was not saved yet, is lost" in problem["message"]
+        opened = [one for one in talker.told if one["kind"] == "opened"][-1]
+        assert (opened["name"], opened["saved"], opened["undo_count"]) == ("changed", True, 0)
+        # who looks on sees the stroke go, and why
+        assert other.hear("refused") == {"kind": "refused", "id": None, "problems": [problem]}
+        for one in (talker, other):
+            np.testing.assert_array_equal(one.labels, shown_from_scratch(path))
+        assert path.read_text() == changed
+        # without a stroke under way, it is opened again too
+        path.write_text(path.read_text().replace('"changed"', '"again"'))
+        (problem,) = talker.ask(**act)["problems"]
+        assert "it was opened again, so look before you go on" in problem["message"]
+        assert talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])["kind"] == "done"
+        assert talker.ask(do="end")["saved"]
+        assert load_recipe(path).name == "again"
+
+
+def test_a_recipe_that_was_changed_before_it_is_looked_at_is_read_again(recipe):
+    path, middle = recipe
+    with studio(path) as browser:
+        with page(browser) as talker:
+            talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+            path.write_text(path.read_text().replace('"painted"', '"changed"'))
+        # the stroke that was under way cannot be saved any more
+        with page(browser) as talker:
+            assert talker.opened["name"] == "changed"
+            assert "is lost" in talker.hear("refused")["problems"][0]["message"]
+            np.testing.assert_array_equal(talker.labels, shown_from_scratch(path))
+            path.write_text(path.read_text().replace('"changed"', '"again"'))
+            with page(browser) as other:
+                assert other.opened["name"] == "again"
+            talker.hear("opened")
+
+
+def test_a_change_between_the_look_and_the_act_is_seen_too(recipe, monkeypatch):
+    path, _ = recipe
+    with studio(path) as browser, page(browser) as talker:
+        path.write_text(path.read_text() + "# by hand\n")
+        answers = iter([False])
+        real = RecipeHistory.is_stale.fget
+        monkeypatch.setattr(RecipeHistory, "is_stale", property(lambda self: next(answers, real(self))))
+        refused = talker.ask(do="add_label", entry={"name": "baffle", "role": "device"})
+        assert "it was opened again" in refused["problems"][0]["message"]
+        assert talker.ask(do="add_label", entry={"name": "baffle", "role": "device"})["kind"] == "done"
 
 
 def test_strokes_outside_a_region_of_interest_that_was_made_smaller_stay_and_are_taken_back(recipe):

@@ -115,6 +115,11 @@ class Painting:
         """Whether another program changed the recipe since it was read or written here."""
         return self._history.is_stale
 
+    @property
+    def is_saved(self) -> bool:
+        """Whether the recipe has every stroke."""
+        return len(self._opened.session.strokes) == self._history.stroke_count
+
     def greeting(self) -> tuple[str | bytes, ...]:
         """All that a page needs to show the recipe as it is now."""
         opened, session = self._opened, self._opened.session
@@ -278,7 +283,7 @@ class Painting:
 
     def save(self) -> tuple[str, ...]:
         """Save a stroke that is not saved yet; messages for all pages."""
-        if self._is_saved:
+        if self.is_saved:
             return ()
         self._close_stroke()
         return self._structures(), self._done()
@@ -338,7 +343,7 @@ class Painting:
         return text_message("seen", id=request.id, rest=shown.has_rest or is_dividing, dividing=is_dividing)
 
     def _counts(self) -> dict[str, Any]:
-        history, is_saved = self._history, self._is_saved
+        history, is_saved = self._history, self.is_saved
         last, following = history.last if is_saved else None, history.next if is_saved else None
         return {
             "undo_count": history.undo_count + (not is_saved),
@@ -348,14 +353,9 @@ class Painting:
             "saved": is_saved,
         }
 
-    @property
-    def _is_saved(self) -> bool:
-        """Whether the recipe has every stroke."""
-        return len(self._opened.session.strokes) == self._history.stroke_count
-
     def _close_stroke(self) -> None:
         self._drawn_by = None
-        if not self._is_saved:
+        if not self.is_saved:
             self._history.paint(self._opened.session.strokes[-1])
 
     def _structures(self) -> str:

@@ -16,16 +16,21 @@ from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.pages import Page
 from heartcase.studio.painting.drafts import receive_draft
 from heartcase.studio.painting.painting import Painting, open_painting
-from heartcase.studio.painting.requests import History, Look, Paint, parse_request
+from heartcase.studio.painting.requests import End, History, Lock, Look, Paint, parse_request
 from heartcase.studio.painting.states import States
-from heartcase.studio.shaping.requests import Add, Change, Remove, Set
+from heartcase.studio.shaping.requests import Act
 
 __all__ = ["Workplace"]
 
 T = TypeVar("T")
 
-_ACTS = Paint | History | Add | Change | Remove | Set
-"""Requests that change the recipe."""
+_ACTS = Paint | End | History | Lock | Act
+"""Requests that change the recipe, or save a stroke that is not in it yet."""
+_CHANGED = "another program changed the recipe: it was opened again, so look before you go on"
+_CHANGED_AND_LOST = (
+    "another program changed the recipe: it was opened again, and the last stroke, which was not saved yet, is lost; "
+    "look before you go on"
+)
 
 
 class Workplace:
@@ -72,7 +77,8 @@ class Workplace:
                 # Progress of opening is for all who wait for it.
                 self._pages.add(page)
                 self._idle.end()
-                await self._show_all((page,))
+                if self._painting is None or await self._reopened(self._painting) is None:
+                    await self._show_all((page,))
 
     async def leave(self, page: Page) -> None:
         """Forget a page; its stroke ends where it is."""
@@ -82,7 +88,8 @@ class Workplace:
             painting = self._painting
             if painting is not None:
                 is_last = not self._pages
-                await self._refusing(lambda: painting.leave(page, is_last=is_last))
+                if is_last or painting.is_saved or await self._reopened(painting) is None:
+                    await self._refusing(lambda: painting.leave(page, is_last=is_last))
                 if is_last:
                     self._idle.begin()
 
@@ -95,8 +102,9 @@ class Workplace:
             try:
                 await self._run(painting.save)
             except Exception:
-                # what cannot be saved stays
-                return
+                # what cannot be saved stays, unless it never can
+                if not await self._run(lambda: painting.is_stale):
+                    return
             self._painting = None
 
     async def ask(self, page: Page, text: str) -> None:
@@ -107,13 +115,16 @@ class Workplace:
                 if self._painting is None:
                     raise RecipeError("it is not open", place="recipe")
                 painting = self._painting
-                if isinstance(request, _ACTS) and await self._run(lambda: painting.is_stale):
-                    await self._open_again()
-                    raise RecipeError(
-                        "another program changed the recipe: it was opened again, so look before you go on",
-                        place="recipe",
-                    )
-                answer = await self._run(lambda: painting.do(request, page, self._pages))
+                is_act = isinstance(request, _ACTS)
+                if is_act and (changed := await self._reopened(painting, but=page)) is not None:
+                    raise changed
+                try:
+                    answer = await self._run(lambda: painting.do(request, page, self._pages))
+                except RecipeError:
+                    # it was changed since it was looked at
+                    if is_act and (changed := await self._reopened(painting, but=page)) is not None:
+                        raise changed from None
+                    raise
             except Exception as error:
                 page.send(text_message("refused", id=request_id(text), problems=problems_of(told(error))))
                 return
@@ -173,6 +184,8 @@ class Workplace:
                     painting = self._painting
                     if painting is None:
                         raise RecipeError("it is not open", place="recipe")
+                    if (changed := await self._reopened(painting)) is not None:
+                        raise changed
                     await self._run(lambda: painting.add(draft))
                     await self._open_again()
             finally:
@@ -208,6 +221,30 @@ class Workplace:
             for message in messages:
                 page.send(message)
         self._states.later()
+
+    async def _reopened(self, painting: Painting, *, but: Page | None = None) -> RecipeError | None:
+        """Open a recipe again that another program changed; all pages are told of a stroke that is lost by it.
+
+        Parameters
+        ----------
+        painting
+            The recipe, as it is open.
+        but
+            A page that is told what is returned.
+
+        Returns
+        -------
+        RecipeError or None
+            What is to be said of it; None where nobody changed it.
+        """
+        if not await self._run(lambda: painting.is_stale):
+            return None
+        is_lost = not painting.is_saved
+        await self._open_again()
+        error = RecipeError(_CHANGED_AND_LOST if is_lost else _CHANGED, place="recipe")
+        for page in self._pages - {but} if is_lost else ():
+            page.send(text_message("refused", id=None, problems=problems_of(error)))
+        return error
 
     async def _open_again(self) -> None:
         self._painting = None

@@ -458,6 +458,19 @@ def test_what_is_refused_is_said(chromium, painted):
         stroke(page, "axial", [middle, off(middle, 2.0, 0, 0)], affine)
         page.saved(1)
         assert path.read_text().count("# by hand") == 1
+        # also while a stroke is drawn, which is lost then
+        page.tab.mouse.move(*at(page, "axial", middle, affine))
+        page.tab.mouse.down()
+        page.tab.locator("#saved[data-state=saving]").wait_for()
+        path.write_text(path.read_text() + "# again\n")
+        page.tab.mouse.up()
+        page.tab.locator("#notice").wait_for()
+        assert "is lost" in page.text("#notice")
+        page.ready()
+        page.saved()
+        stroke(page, "axial", [middle, off(middle, 2.0, 0, 0)], affine)
+        page.saved(1)
+        assert path.read_text().count("# again") == 1
 
 
 def test_a_recipe_that_cannot_be_opened_says_why(chromium, painted):
