@@ -1,12 +1,20 @@
 """Drafts that are dropped on a page, through the studio's server."""
 
+import gzip
 import json
+import struct
+import threading
+import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import SimpleITK
 
 from heartcase.pipeline.building.session_file import open_session
+from heartcase.pipeline.formats.read_scan import read_labels
+from heartcase.schemas.errors import MarkerError
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.studio.painting import drafts
 from tests.studio.talking import ADDRESS, page, studio, write_recipe
@@ -189,6 +197,90 @@ def test_what_cannot_be_taken_is_refused_says_why_and_leaves_nothing(recipe, mon
         np.testing.assert_array_equal(talker.labels, first)
         assert names(path.parent) == there
     assert path.read_bytes() == text
+
+
+def claiming(ending, size):
+    """A few kilobytes that claim so many zeros along each axis."""
+    if ending == ".nrrd":
+        header = f"NRRD0004\ntype: uchar\ndimension: 3\nsizes: {size} {size} {size}\nencoding: gzip\n"
+        header += "space: left-posterior-superior\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nspace origin: (0,0,0)\n\n"
+        return header.encode() + gzip.compress(bytes(1000))
+    if ending == ".mha":
+        header = (
+            f"ObjectType = Image\nNDims = 3\nBinaryData = True\nCompressedData = True\nDimSize = {size} {size} {size}\n"
+        )
+        header += "ElementSpacing = 1 1 1\nElementType = MET_UCHAR\nElementDataFile = LOCAL\n"
+        return header.encode() + zlib.compress(bytes(1000))
+    header = bytearray(352)
+    struct.pack_into("<i", header, 0, 348)
+    struct.pack_into("<8h", header, 40, 3, size, size, size, 1, 1, 1, 1)
+    struct.pack_into("<2h", header, 70, 2, 8)
+    struct.pack_into("<8f", header, 76, 1, 1, 1, 1, 1, 1, 1, 1)
+    struct.pack_into("<f", header, 108, 352)
+    header[344:348] = b"n+1\0"
+    return gzip.compress(bytes(header) + bytes(1000))
+
+
+@pytest.mark.parametrize("ending", [".nrrd", ".seg.nrrd", ".nii.gz", ".mha"])
+def test_a_small_file_that_claims_a_huge_volume_is_refused_before_it_is_read(recipe, ending):
+    path, _ = recipe
+    with studio(path) as browser, page(browser):
+        kind = ".nrrd" if ending == ".seg.nrrd" else ending
+        (problem,) = send(browser, packed([(f"a{ending}", claiming(kind, 600))])).json()["problems"]
+        assert "claims more values than 8 times the scan's voxels" in problem["message"]
+        # one that may be as large is read, and is found to be cut short
+        (problem,) = send(browser, packed([(f"a{ending}", claiming(kind, 300))])).json()["problems"]
+        assert "cut short or damaged" in problem["message"]
+
+
+def test_a_stream_that_goes_on_after_its_values_is_not_inflated_to_its_end(tmp_path):
+    file = tmp_path / "long.nrrd"
+    header = claiming(".nrrd", 10).partition(b"\n\n")[0] + b"\n\n"
+    file.write_bytes(header + gzip.compress(bytes(2000)))
+    assert read_labels(file).values.shape == (10, 10, 10)
+    file.write_bytes(header + gzip.compress(bytes(1 << 27)) + b"never looked at")
+    with pytest.raises(MarkerError, match="damaged"):
+        read_labels(file)
+
+
+def test_a_scan_may_be_drafted_on_a_grid_twice_as_fine():
+    assert drafts.value_count_max(Geometry(size=(512, 512, 400))) == 8 * 512 * 512 * 400
+    assert drafts.value_count_max(Geometry(size=(10, 10, 10))) == 1 << 26
+
+
+def test_others_go_on_while_a_draft_is_read(recipe, monkeypatch):
+    path, middle = recipe
+    data, _ = volume(path)
+    begun, goes_on = threading.Event(), threading.Event()
+    read = drafts.load_markers
+
+    def slowly(*given, **more):
+        begun.set()
+        assert goes_on.wait(60)
+        return read(*given, **more)
+
+    monkeypatch.setattr(drafts, "load_markers", slowly)
+    with studio(path) as browser, page(browser) as talker, ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(send, browser, packed([("a.nii.gz", data)]))
+        assert begun.wait(60)
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        assert talker.ask(do="end")["saved"]
+        goes_on.set()
+        assert answer.result().json() == {"problems": []}
+        talker.hear("opened")
+        assert [file.path for file in load_recipe(path).markers] == ["draft_1.nii.gz"]
+        # labels that are other ones by then may mean something else
+        begun.clear()
+        goes_on.clear()
+        answer = pool.submit(send, browser, packed([("a.nii.gz", data)]))
+        assert begun.wait(60)
+        there = names(path.parent)
+        assert talker.ask(do="add_label", entry={"name": "baffle", "role": "device"})["kind"] == "done"
+        goes_on.set()
+        assert "was changed while the draft was read" in answer.result().json()["problems"][0]["message"]
+        assert len(load_recipe(path).markers) == 1
+        assert not [one for one in names(path.parent) if one.startswith(".heartcase-draft")]
+        assert len(there) == len(names(path.parent)) + 1
 
 
 def test_a_draft_for_a_recipe_that_another_program_changed_is_refused_and_the_recipe_opened_again(recipe):

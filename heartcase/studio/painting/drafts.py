@@ -8,6 +8,7 @@ they are, the label's name is taken.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import shutil
 import tempfile
@@ -17,6 +18,7 @@ from typing import Annotated, Any, BinaryIO
 
 from pydantic import Field, ValidationError
 
+from heartcase.pipeline.formats.volumes.raw_volume import at_most
 from heartcase.pipeline.markers.load_markers import load_markers
 from heartcase.schemas.base import Model
 from heartcase.schemas.errors import UsageError, problems_from_validation
@@ -35,6 +37,25 @@ _SUFFIXES = (".seg.nrrd", ".nii.gz", ".mrk.json", ".nrrd", ".nii", ".mha", ".dcm
 """Of files that are taken alone, the longer ones first."""
 _PART = ".stl"
 _DICOM_MAGIC = slice(128, 132)
+
+
+_VALUES_PER_VOXEL = 8
+_VALUES_LEAST = 1 << 26
+_TOO_MANY = (
+    f"the file claims more values than {_VALUES_PER_VOXEL} times the scan's voxels (and than 67 million): crop it to "
+    "the scan, or resample it onto it"
+)
+
+
+def value_count_max(geometry: Geometry) -> int:
+    """Values that a draft may have, unpacked: those of a grid twice as fine, or of several layers; more on small scans.
+
+    Parameters
+    ----------
+    geometry
+        The scan's lattice.
+    """
+    return max(_VALUES_PER_VOXEL * math.prod(geometry.size), _VALUES_LEAST)
 
 
 class _File(Model):
@@ -107,7 +128,8 @@ class Draft:
         """
         ready = self._as_parts(table) if self._is_of_parts else self._as_file()
         file = MarkerFile.model_validate(self.marker_file(ready.name))
-        load_markers([file], (), table, geometry, self._folder, whole=whole)
+        with at_most(value_count_max(whole or geometry), _TOO_MANY):
+            load_markers([file], (), table, geometry, self._folder, whole=whole)
         return ready
 
     def added_to(self, directory: Path, ready: Path) -> str:

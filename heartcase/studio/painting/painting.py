@@ -20,6 +20,7 @@ from heartcase.pipeline.data import UNMARKED, Scan
 from heartcase.pipeline.markers.states import StillSegmentation
 from heartcase.pipeline.watershed.boxes import Box
 from heartcase.schemas.errors import UsageError
+from heartcase.schemas.geometry import Geometry
 from heartcase.schemas.labels import BACKGROUND, LabelTable, Role
 from heartcase.schemas.recipe.recipe import parse_recipe, read_recipe_text
 from heartcase.schemas.toml_places import Place
@@ -59,6 +60,9 @@ from heartcase.studio.shaping.requests import (
 from heartcase.studio.shaping.shaping import Shaping
 
 __all__ = ["Answer", "Painting", "open_painting"]
+
+Lattices = tuple[LabelTable, Geometry, Geometry | None]
+"""Labels, the lattice that is painted on, and that of the whole scan where it is another."""
 
 _SHOWN_EVERY_S = 0.04
 """While flat minima are divided, what is in sight is shown so often."""
@@ -244,8 +248,21 @@ class Painting:
         """Whether the recipe names other marker files than those that are painted on: it must be opened again."""
         return self._history.recipe.markers != self._opened.recipe.markers
 
-    def add(self, draft: Draft) -> None:
+    @property
+    def lattices(self) -> Lattices:
+        """What a draft must go with."""
+        session = self._opened.session
+        return session.table, session.geometry, self._opened.whole
+
+    def add(self, draft: Draft, ready: Path) -> None:
         """Write a draft as one more marker file of the recipe.
+
+        Parameters
+        ----------
+        draft
+            The draft.
+        ready
+            Its file or folder, checked against :attr:`lattices`.
 
         Raises
         ------
@@ -253,8 +270,7 @@ class Painting:
             It does not go with the recipe, and nothing has changed.
         """
         self._close_stroke()
-        session, history, directory = self._opened.session, self._history, self._history.path.parent
-        ready = draft.checked(session.table, session.geometry, self._opened.whole)
+        history, directory = self._history, self._history.path.parent
         place: Place = ("markers", len(history.recipe.markers))
         name = draft.added_to(directory, ready)
         try:

@@ -181,17 +181,27 @@ class Workplace:
             draft = await receive_draft(stream, self._recipe.resolve().parent)
             try:
                 async with self._turn:
-                    painting = self._painting
-                    if painting is None:
-                        raise RecipeError("it is not open", place="recipe")
-                    if (changed := await self._reopened(painting)) is not None:
-                        raise changed
-                    await self._run(lambda: painting.add(draft))
+                    lattices = (await self._for_draft()).lattices
+                # others go on meanwhile
+                ready = await asyncio.get_running_loop().run_in_executor(self._aside, draft.checked, *lattices)
+                async with self._turn:
+                    painting = await self._for_draft()
+                    if painting.lattices != lattices:
+                        raise RecipeError("it was changed while the draft was read: drop it again", place="recipe")
+                    await self._run(lambda: painting.add(draft, ready))
                     await self._open_again()
             finally:
                 draft.discard()
         finally:
             self._receives = False
+
+    async def _for_draft(self) -> Painting:
+        painting = self._painting
+        if painting is None:
+            raise RecipeError("it is not open", place="recipe")
+        if (changed := await self._reopened(painting)) is not None:
+            raise changed
+        return painting
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""

@@ -11,14 +11,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydicom.sequence import Sequence
 from pydicom.sr.codedict import codes
-from pydicom.uid import ExplicitVRLittleEndian, RLELossless, generate_uid
+from pydicom.uid import DeflatedExplicitVRLittleEndian, ExplicitVRLittleEndian, RLELossless, generate_uid
 from scipy.spatial.transform import Rotation
 
 from heartcase.pipeline.data import Segmentation
 from heartcase.pipeline.formats.dicom.source import find_source
+from heartcase.pipeline.formats.labels import dicom_seg
 from heartcase.pipeline.formats.labels.dicom_seg import read_dicom_seg
 from heartcase.pipeline.formats.labels.write_dicom_seg import dicom_seg_bytes
-from heartcase.pipeline.formats.read_scan import read_scan
+from heartcase.pipeline.formats.read_scan import read_labels, read_scan
+from heartcase.pipeline.formats.volumes.raw_volume import at_most
 from heartcase.pipeline.markers.load_markers import load_segmentation
 from heartcase.schemas.errors import MarkerError, UsageError
 from heartcase.schemas.geometry import Geometry
@@ -366,3 +368,16 @@ def test_a_segment_that_nobody_wants_covers_none_that_is_wanted(tmp_path):
     seg.save_as(tmp_path / "s.dcm")
     found = load_segmentation(tmp_path / "s.dcm", {}, TABLE, OBLIQUE, others="ignore")
     np.testing.assert_array_equal(found.labels, layers[..., 0])
+
+
+def test_a_file_that_is_packed_as_a_whole_is_not_unpacked_beyond_what_may_be_read(tmp_path, monkeypatch):
+    layers = two_layers(OBLIQUE)
+    seg = highdicom_seg(source_images(OBLIQUE, tmp_path), layers)
+    wanted, file = tmp_path / "plain.dcm", tmp_path / "s.dcm"
+    seg.save_as(wanted)
+    seg.file_meta.TransferSyntaxUID = DeflatedExplicitVRLittleEndian
+    seg.save_as(file)
+    np.testing.assert_array_equal(read_dicom_seg(file).values, read_dicom_seg(wanted).values)
+    monkeypatch.setattr(dicom_seg, "_HEADERS_MOST", 1000)
+    with at_most(1000, "too many"), pytest.raises(MarkerError, match="too many"):
+        read_labels(file)

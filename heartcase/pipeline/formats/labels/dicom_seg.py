@@ -8,6 +8,7 @@ list: their labels may name a patient.
 
 from __future__ import annotations
 
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ import numpy as np
 import pydicom
 from pydicom.pixels import iter_pixels
 from pydicom.sr.coding import Code
+from pydicom.uid import DeflatedExplicitVRLittleEndian
 
 from heartcase.pipeline.formats.dicom.headers import is_dicom, quiet_pydicom
 from heartcase.pipeline.formats.labels.segments import (
@@ -29,7 +31,7 @@ from heartcase.pipeline.formats.labels.segments import (
     stacking_of,
 )
 from heartcase.pipeline.formats.volumes.agreement import AGREEMENT_MM, even_line
-from heartcase.pipeline.formats.volumes.raw_volume import check_size, geometry_from_affine
+from heartcase.pipeline.formats.volumes.raw_volume import VOXEL_LIMIT, check_size, geometry_from_affine
 from heartcase.schemas.arrays import Float64, Int64, UInt8, UInt16
 from heartcase.schemas.errors import HeartcaseError, MarkerError
 from heartcase.schemas.geometry import Geometry
@@ -48,6 +50,10 @@ SAME_PLACE_PART = 0.01
 SLICE_TOLERANCE = 0.1
 """How far a plane may lie from a slice of the scan, in slice spacings: a scan's own slices are evened out when read."""
 FRAME_LIMIT = 100_000
+_META_START = 144
+"""Bytes before what the group length counts: preamble, prefix, and the group length itself."""
+_HEADERS_MOST = 2**26
+"""Bytes that all but the values may take in a file that is packed as a whole."""
 
 
 @dataclass(frozen=True)
@@ -139,12 +145,14 @@ def _read(
     left_out: Callable[[SegmentInfo], bool],
     rank: Callable[[SegmentInfo], int],
 ) -> LabelVolume:
+    _check_deflated(file)
     dataset = pydicom.dcmread(file, force=True)
     if str(dataset.get("SOPClassUID", "")) not in SEG_CLASSES:
         raise MarkerError("the DICOM file is no segmentation (SEG): is it a slice of the scan? Export a DICOM SEG")
     is_map = str(dataset.SegmentationType).upper() == "LABELMAP"
     frames = _frames(dataset, is_map)
-    check_size((int(dataset.Columns), int(dataset.Rows), len(frames)))
+    # frames are read one by one, and those of many segments show one plane
+    check_size((int(dataset.Columns), int(dataset.Rows), len(frames)), limit=VOXEL_LIMIT)
     geometry, places = _lattice(frames, scan, rows=int(dataset.Rows), columns=int(dataset.Columns))
     check_size(geometry.size)
     listed = [item for item in dataset.SegmentSequence if int(item.SegmentNumber) != 0]
@@ -186,6 +194,22 @@ def _read(
     vanished = tuple(sorted(painted - set(np.unique(merged).tolist())))
     values = merged.astype(np.uint8) if len(listed) < 256 else merged
     return LabelVolume(values, geometry, segments, vanished, overlaps=stacking.overlaps(overlaps))
+
+
+def _check_deflated(file: Path) -> None:
+    """Refuse a file that is packed as a whole, and holds more bytes than the values that may be read could take."""
+    try:
+        meta = pydicom.filereader.read_file_meta_info(file)
+    except Exception:  # what is wrong with it is said when all of it is read
+        return
+    if meta.get("TransferSyntaxUID") != DeflatedExplicitVRLittleEndian:
+        return
+    stream, total = zlib.decompressobj(-zlib.MAX_WBITS), 0
+    with file.open("rb") as packed:
+        packed.seek(_META_START + int(meta.FileMetaInformationGroupLength))
+        while not stream.eof and (chunk := packed.read(2**16)):
+            total += len(stream.decompress(chunk))
+            check_size((max(total - _HEADERS_MOST, 1), 1, 1))
 
 
 def _frames(dataset: Any, is_map: bool) -> list[_Frame]:

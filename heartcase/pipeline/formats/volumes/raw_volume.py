@@ -5,11 +5,13 @@ No message names a path or a file: both may hold a patient's name, and the user 
 
 from __future__ import annotations
 
+import contextlib
 import stat
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +28,7 @@ __all__ = [
     "NOT_ONE_VOLUME",
     "VOXEL_LIMIT",
     "RawVolume",
+    "at_most",
     "check_size",
     "geometry_from_affine",
     "placed",
@@ -39,6 +42,39 @@ NOT_ONE_VOLUME = "the file is {dimension}-D: export the one volume that is wante
 
 VOXEL_LIMIT = 2**30
 """Largest number of values in a volume, as many as 1024 x 1024 x 1024: a header that claims more is not believed."""
+
+
+class _Bound(NamedTuple):
+    """How many values a volume may have, and what is said of one that claims more."""
+
+    most: int
+    message: str
+
+
+_TOO_LARGE = "the header claims more than 1024 x 1024 x 1024 values: crop the scan, or export it again"
+_WIDEST = _Bound(VOXEL_LIMIT, _TOO_LARGE)
+_BOUND: ContextVar[_Bound | None] = ContextVar("bound", default=None)
+
+
+@contextlib.contextmanager
+def at_most(count: int, message: str) -> Iterator[None]:
+    """Refuse, in this thread, volumes of more values, before any is read.
+
+    What is packed in a small file may be large: who reads what anybody may send says how large.
+
+    Parameters
+    ----------
+    count
+        Number of values; above :data:`VOXEL_LIMIT` that one counts.
+    message
+        What is said of a volume with more.
+    """
+    mark = _BOUND.set(_Bound(count, message)) if count < VOXEL_LIMIT else None
+    try:
+        yield
+    finally:
+        if mark is not None:
+            _BOUND.reset(mark)
 
 
 @dataclass(frozen=True)
@@ -75,7 +111,7 @@ def require_file(path: Path) -> None:
         raise ScanError("the file is empty: copy or export it again")
 
 
-def check_size(size: Sequence[int], *, components: int = 1) -> None:
+def check_size(size: Sequence[int], *, components: int = 1, limit: int | None = None) -> None:
     """Refuse sizes that no scan has.
 
     Parameters
@@ -84,19 +120,22 @@ def check_size(size: Sequence[int], *, components: int = 1) -> None:
         Number of voxels along each axis.
     components
         Number of values per voxel.
+    limit
+        How many values are too many where they are not kept; what :func:`at_most` says when left out.
 
     Raises
     ------
     ScanError
-        A size is below one, or the product is above :data:`VOXEL_LIMIT`.
+        A size is below one, or the product is above :data:`VOXEL_LIMIT`, or above what :func:`at_most` says.
     """
     if any(count < 1 for count in size) or components < 1:
         raise ScanError("the header gives a size below 1: the file is damaged, export it again")
     total = components
     for count in size:
         total *= count
-    if total > VOXEL_LIMIT:
-        raise ScanError("the header claims more than 1024 x 1024 x 1024 values: crop the scan, or export it again")
+    bound = (_BOUND.get() or _WIDEST) if limit is None else _Bound(limit, _TOO_LARGE)
+    if total > bound.most:
+        raise ScanError(bound.message)
 
 
 def geometry_from_affine(affine: npt.ArrayLike, shape: tuple[int, ...]) -> Geometry:

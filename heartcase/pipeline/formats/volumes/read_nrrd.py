@@ -39,6 +39,8 @@ from heartcase.schemas.errors import ScanError
 __all__ = ["nrrd_data_file", "read_nrrd"]
 
 ZLIB_OR_GZIP = 47
+_MORE_THAN_VALUES = 2**22
+"""Bytes that may follow the values in a compressed stream."""
 SKIPS = ("byte skip", "byteskip", "line skip", "lineskip")
 SPACE = re.compile(r"(left|right|l|r)-?(anterior|posterior|a|p)-?(superior|inferior|s|i)", re.IGNORECASE)
 
@@ -79,7 +81,7 @@ def _read_image(path: Path, header: dict[str, str], *, orientation_is_stated: bo
 
 
 def _check_stream(path: Path, start: int, *, byte_count: int | None) -> None:
-    """Refuse a compressed stream that is cut short, damaged, or too short for ``byte_count`` bytes."""
+    """Refuse a compressed stream that is cut short, damaged, or too short for ``byte_count`` bytes, or far too long."""
     stream = zlib.decompressobj(ZLIB_OR_GZIP)
     total = 0
     try:
@@ -87,6 +89,8 @@ def _check_stream(path: Path, start: int, *, byte_count: int | None) -> None:
             file.seek(start)
             while not stream.eof and (chunk := file.read(2**16)):
                 total += len(stream.decompress(chunk))
+                if byte_count is not None and total > byte_count + _MORE_THAN_VALUES:
+                    raise ScanError(DAMAGED)
     except (zlib.error, OSError, MemoryError):
         raise ScanError(DAMAGED) from None
     if not stream.eof or (byte_count is not None and total < byte_count):
