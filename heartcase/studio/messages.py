@@ -19,6 +19,7 @@ from heartcase.pipeline.data import Scan
 from heartcase.pipeline.watershed.boxes import Box
 from heartcase.schemas.arrays import UInt8
 from heartcase.schemas.errors import HeartcaseError
+from heartcase.studio.message_words import problem_facts
 
 __all__ = ["boxes_message", "labels_message", "problems_of", "scan_message", "surface_message", "text_message", "told"]
 
@@ -33,9 +34,9 @@ def text_message(kind: str, **fields: Any) -> str:
     return json.dumps({"kind": kind} | fields, ensure_ascii=False, allow_nan=False)
 
 
-def problems_of(error: HeartcaseError) -> list[dict[str, str]]:
+def problems_of(error: HeartcaseError) -> list[dict[str, Any]]:
     """What was wrong, as plain data."""
-    return [{"place": problem.place, "message": problem.message} for problem in error.problems]
+    return [problem_facts(problem.place, problem.message) for problem in error.problems]
 
 
 def told(error: BaseException) -> HeartcaseError:

@@ -79,7 +79,7 @@ class Building:
         self._took_s: dict[str, float] = {}
         self._times = StageTimes(out / ".heartcase-cache" / "studio" / "times.json")
         self._compiling: tuple[int, int] | None = None
-        self._problems: list[dict[str, str]] = []
+        self._problems: list[dict[str, Any]] = []
         self._is_cancelled = False
         self._changed: bool | None = None
         self._outcome: Outcome | None = None

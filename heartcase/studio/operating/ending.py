@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from heartcase.studio.messages import problems_of, told
+from heartcase.studio.message_words import problem_facts
+from heartcase.studio.messages import told
 from heartcase.studio.operating.stage import Stage
 
 __all__ = ["ended", "problems_at"]
@@ -14,7 +16,7 @@ _KEPT = "what was done is kept in the recording {name}"
 _LOST = "what was done is not kept: {why}"
 
 
-def ended(stage: Stage, problems: Callable[[BaseException], list[dict[str, str]]]) -> str | None:
+def ended(stage: Stage, problems: Callable[[BaseException], list[dict[str, Any]]]) -> str | None:
     """End a stage's session; what is to be read of what was done in it, None where nothing is to be kept.
 
     Parameters
@@ -31,7 +33,7 @@ def ended(stage: Stage, problems: Callable[[BaseException], list[dict[str, str]]
     return None if name is None else _KEPT.format(name=name.removesuffix(".recording"))
 
 
-def problems_at(case: Path, error: BaseException) -> list[dict[str, str]]:
+def problems_at(case: Path, error: BaseException) -> list[dict[str, Any]]:
     """What a page is told of an error; not where on this machine the case lies.
 
     Parameters
@@ -41,10 +43,11 @@ def problems_at(case: Path, error: BaseException) -> list[dict[str, str]]:
     error
         The error.
     """
-    found = problems_of(told(error))
     folders = {str(folder) for one in (case, case.resolve()) for folder in (one, one.parent)}
-    for problem in found:
+
+    def without(text: str) -> str:
         for folder in sorted(folders - {".", "/"}, key=len, reverse=True):
-            problem["place"] = problem["place"].replace(folder, "case")
-            problem["message"] = problem["message"].replace(folder, "case")
-    return found
+            text = text.replace(folder, "case")
+        return text
+
+    return [problem_facts(without(one.place), without(one.message)) for one in told(error).problems]

@@ -11,7 +11,8 @@ from heartcase.schemas.landmarks import Landmark
 from heartcase.simulator.background.figures_worker import FiguresWorker, LiveFigures
 from heartcase.simulator.incisions.figures import IncisionFigures
 from heartcase.simulator.live.live_frame import LiveFrame
-from heartcase.studio.messages import text_message
+from heartcase.studio.message_words import problem_facts
+from heartcase.studio.messages import problems_of, text_message
 from heartcase.studio.operating.incisions import Incisions
 
 __all__ = ["ShownFigures", "finite", "told_figures"]
@@ -73,7 +74,7 @@ class ShownFigures:
             cuts=[cut.name for cut in live.cuts],
             is_reaching=worker is not None and worker.is_reaching,
             found=None if newest is None else finite(_told(newest)),
-            problems=[] if error is None else [asdict(problem) for problem in error.problems],
+            problems=[] if error is None else problems_of(error),
         )
 
 
@@ -90,7 +91,7 @@ def _told(found: LiveFigures) -> dict[str, Any]:
         "hand_force_n": found.hand_force_n,
         "inverted_cell_count": found.inverted_cell_count,
         "has_reach": found.has_reach,
-        "problems": [asdict(problem) for problem in found.problems],
+        "problems": [problem_facts(one.place, one.message) for one in found.problems],
     }
 
 

@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from heartcase.simulator.background.figures_worker import LiveFigures
 from heartcase.simulator.background.recorded_figures import figures_of_recording
 from heartcase.simulator.incisions.figures import ranked
 from heartcase.simulator.load import load_case
+from heartcase.studio.message_words import problem_facts
 from heartcase.studio.messages import text_message
 from heartcase.studio.operating.beside import Beside
 from heartcase.studio.operating.live_figures import finite, told_figures
@@ -88,7 +89,11 @@ class ComparedPlans:
             known = {name: self._known[name][1] for name in self._names if name in self._known}
             names, is_working = self._names, self._is_working
         found = {name: one for name, one in known.items() if isinstance(one, LiveFigures)}
-        problems = {name: [asdict(each) for each in one] for name, one in known.items() if isinstance(one, tuple)}
+        problems = {
+            name: [problem_facts(each.place, each.message) for each in one]
+            for name, one in known.items()
+            if isinstance(one, tuple)
+        }
         defects: list[dict[str, Any]] = []
         for defect in dict.fromkeys(defect for one in found.values() for defect in one.defects):
             plans = {name: one.defects[defect] for name, one in found.items() if defect in one.defects}
@@ -105,7 +110,7 @@ class ComparedPlans:
                 "time_s": one.time_s,
                 "inverted_cell_count": one.inverted_cell_count,
                 "hand_force_n": one.hand_force_n,
-                "problems": [asdict(problem) for problem in one.problems],
+                "problems": [problem_facts(each.place, each.message) for each in one.problems],
             }
             for name, one in found.items()
         }

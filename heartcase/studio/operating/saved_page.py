@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import signal
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from heartcase.schemas.bundle.placing import refuse_inside_case
-from heartcase.schemas.errors import Problem
 from heartcase.schemas.files import atomic_write
+from heartcase.studio.message_words import problem_facts
 from heartcase.studio.messages import told
 from heartcase.studio.operating.beside import Beside
 from heartcase.studio.operating.ending import problems_at
@@ -87,7 +86,7 @@ class SavedPage:
         return path
 
     def _wait(self, line: Connection, path: Path) -> None:
-        content, problems = b"", [asdict(Problem("page", _ENDED))]
+        content, problems = b"", [problem_facts("page", _ENDED)]
         with contextlib.suppress(EOFError, OSError):
             while isinstance(said := line.recv(), float):
                 if not self._beside.is_left:
@@ -102,7 +101,7 @@ class SavedPage:
                 self.file = path
             except OSError as error:
                 words = f"it cannot be written: {error.strerror or 'no reason given'}"
-                content, problems = b"", [asdict(Problem("page", words))]
+                content, problems = b"", [problem_facts("page", words)]
         state = "saved" if content else "failed"
         folder = {"folder": str(path.parent)} if content else {}
         self._tell(state=state, name=path.name, byte_count=len(content), problems=problems, **folder)
@@ -133,6 +132,6 @@ def _make(line: Connection, page_of: PageOf, case: Path, recordings: list[Path])
     with contextlib.suppress(OSError):
         try:
             content, warnings = page_of(case, recordings, told_seldom(line.send))
-            line.send((content, [{"place": "", "message": warning} for warning in warnings]))
+            line.send((content, [problem_facts("", warning) for warning in warnings]))
         except Exception as error:
             line.send((b"", problems_at(case, told(error))))

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from heartcase.studio.messages import text_message
 from heartcase.studio.operating.requests import Slice
@@ -28,7 +29,7 @@ class SliceServing:
         What a page is told of an error.
     """
 
-    def __init__(self, case: Path, problems_of: Callable[[BaseException], list[dict[str, str]]]) -> None:
+    def __init__(self, case: Path, problems_of: Callable[[BaseException], list[dict[str, Any]]]) -> None:
         self._case = case
         self._problems_of = problems_of
         self._scan: tuple[Stage, Path | None, ScanSlices] | None = None

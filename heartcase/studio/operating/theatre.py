@@ -14,6 +14,7 @@ from heartcase.schemas.errors import HeartcaseError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.idle import FREE_AFTER_S, Idle
+from heartcase.studio.message_words import problem_facts, spoken
 from heartcase.studio.messages import text_message
 from heartcase.studio.operating.acts import OwnAct, act, met
 from heartcase.studio.operating.approved import WatchedApproval
@@ -153,7 +154,7 @@ class Theatre:
                 self._rests = False
                 stage.live.pause(False)
             if self._freed is not None:
-                self._tell(text_message("message", text=self._freed))
+                self._tell(text_message("message", **spoken(self._freed)))
                 self._freed = None
             self._news.set()
 
@@ -172,7 +173,7 @@ class Theatre:
         self._forget_stage()
         for page in self._viewers:
             self._greet(page, stage)
-        self._tell(text_message("message", text=_BUILT_ANEW))
+        self._tell(text_message("message", **spoken(_BUILT_ANEW)))
         self._news.set()
         old = before.live
         if (words := await self._ended(before)) is not None:
@@ -414,7 +415,7 @@ class Theatre:
                 self._tell(text_message("approval", is_approved=is_approved))
             if not await self._run(partial(stage.is_of, self._case)) and self._stage is stage:
                 told = stage
-                self._tell(text_message("message", text=_OLDER))
+                self._tell(text_message("message", **spoken(_OLDER)))
 
     async def _fail(self, error: BaseException, stage: Stage) -> bool:
         """The session cannot go on: it is told, what was done is kept, and who comes next begins anew.
@@ -429,7 +430,7 @@ class Theatre:
             words = await self._ended(stage)
             problems = self._problems(error)
             if words is not None:
-                problems.append({"place": "recording", "message": words})
+                problems.append(problem_facts("recording", words))
                 if not self._viewers:
                     self._freed = words
             self._tell(text_message("failed", problems=problems))
@@ -443,7 +444,7 @@ class Theatre:
     def _tell_or_keep(self, words: str) -> None:
         """Tell all pages; where there is none, the next that comes."""
         if self._viewers:
-            self._tell(text_message("message", text=words))
+            self._tell(text_message("message", **spoken(words)))
         else:
             self._freed = words
 
@@ -497,7 +498,7 @@ class Theatre:
     def _tell_all_of(self, live: Live) -> None:
         """Tell what a session has to say."""
         for words in live.take_messages():
-            self._tell(text_message("message", text=words))
+            self._tell(text_message("message", **spoken(words)))
 
     def _tell(self, message: str) -> None:
         for page in self._viewers:
@@ -512,6 +513,6 @@ class Theatre:
     def _saved_message(self) -> str:
         return text_message("saved_page", **self.saved.facts)
 
-    def _problems(self, error: BaseException) -> list[dict[str, str]]:
+    def _problems(self, error: BaseException) -> list[dict[str, Any]]:
         """What a page is told of an error; not where on this machine the case lies."""
         return problems_at(self._case, error)

@@ -35,7 +35,7 @@ class TourLeading:
     def __init__(
         self,
         folders: Callable[[str], list[Path]],
-        problems_of: Callable[[BaseException], list[dict[str, str]]],
+        problems_of: Callable[[BaseException], list[dict[str, Any]]],
         begin: Callable[[Stage], Awaitable[None]],
     ) -> None:
         self._folders = folders

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
@@ -102,7 +103,7 @@ def make_app(registry: Registry, *, token: str, port: int, start: Start | None =
         # a page of another site can send a form, but no origin of ours
         if not isinstance(workplace, Workplace) or "origin" not in request.headers:
             return Response(status_code=404)
-        problems: list[dict[str, str]] = []
+        problems: list[dict[str, Any]] = []
         try:
             await workplace.add_draft(request.stream())
         except ClientDisconnect:

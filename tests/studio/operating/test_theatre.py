@@ -307,7 +307,13 @@ def test_what_was_done_is_kept_where_the_session_broke_and_where_the_server_ends
             live_of(opened)._ask([fail])
             problems = page.hear("failed")["problems"]
             assert "ZeroDivisionError" in problems[0]["message"]
-            assert problems[1] == {"place": "recording", "message": "what was done is kept in the recording block-1"}
+            kept = "what was done is kept in the recording block-1"
+            assert problems[1] == {
+                "place": "recording",
+                "message": kept,
+                "code": "kept",
+                "values": {"name": "block-1"},
+            }
         assert "close_grab" in kinds_in(tmp_path / "block-1.recording")
         with operator(browser, opened) as page:
             page.until(lambda frame: frame["step"] > 0)

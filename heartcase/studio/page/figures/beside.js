@@ -3,6 +3,7 @@
 import { Picture } from "../operating/picture.js";
 import { arraysOf } from "../operating/messages.js";
 import { Connection, Lost } from "../shared/connection.js";
+import { saidOf } from "../shared/said.js";
 import { figure, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
@@ -41,7 +42,7 @@ export class Beside {
    * @param {Picture} main
    * @param {{askMain: (request: Record<string, unknown> & {do: string}) => void, painted: () => [readonly Painted[], Set<number>],
    *   mainHeader: () => Record<string, any> | null, shown: () => void,
-   *   told: (title: string, text: string) => void, failed: (error: unknown) => void}} does `shown` is told when time or mode here changed
+   *   told: (title: string, said: import("../shared/connection.js").Problem) => void, failed: (error: unknown) => void}} does `shown` is told when time or mode here changed
    * @param {(canvas: HTMLCanvasElement) => Picture} makePicture
    */
   constructor(main, does, makePicture = (canvas) => new Picture(canvas)) {
@@ -198,9 +199,9 @@ export class Beside {
       if (this.#isDue) this.#replay();
       else this.#isDoubted = true;
     } else if (message.kind === "message") {
-      this.does.told(this.#name.replace(/\.recording$/, ""), message.text);
+      this.does.told(this.#name.replace(/\.recording$/, ""), /** @type {any} */ (message));
     } else if (message.kind === "failed") {
-      find("beside-time").textContent = (message.problems ?? []).map((/** @type {any} */ one) => one.message).join("; ");
+      find("beside-time").textContent = (message.problems ?? []).map(saidOf).join("; ");
     }
   }
 

@@ -1,6 +1,7 @@
 /** What an incision is worth while it is held open: figures that the server works out beside the steps. */
 
 import { element } from "../shared/elements.js";
+import { saidOf } from "../shared/said.js";
 import { figure, language, say, structureName } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
@@ -123,7 +124,7 @@ export class LiveFigures {
     const isBusy = cuts.length > 0 && (found === null || message?.is_reaching);
     find("figures-state").textContent = isBusy ? say(message?.is_reaching ? "figures_reaching" : "figures_working") : "";
     /** @type {HTMLButtonElement} */ (find("reach")).disabled = Boolean(message?.is_reaching) || found === null;
-    const remarks = (message?.problems ?? []).map((/** @type {any} */ one) => one.message);
+    const remarks = (message?.problems ?? []).map(saidOf);
     if (found === null) {
       find("figures").replaceChildren();
       tell(remarks);
@@ -142,7 +143,7 @@ export class LiveFigures {
         remarks.unshift(`${one.name}: ${say("figures_rim_found", { part: figure(100 * one.rim_found, 0) })}`);
       }
     }
-    for (const { place, message: why } of found.problems) remarks.unshift(say("figures_left_out", { name: place, why }));
+    for (const one of found.problems) remarks.unshift(say("figures_left_out", { name: one.place, why: saidOf(one) }));
     tell(remarks);
   }
 

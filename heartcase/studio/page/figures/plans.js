@@ -1,6 +1,7 @@
 /** Recordings as plans: named, two of them played side by side, figures of several in one table. */
 
 import { element } from "../shared/elements.js";
+import { saidOf } from "../shared/said.js";
 import { figure, language, say } from "../shared/words.js";
 import { KINDS, rows, trusted, vesselRows } from "./live_figures.js";
 
@@ -142,11 +143,11 @@ export class Plans {
     const remarks = [];
     for (const name of message.names) {
       const about = message.about[name];
-      for (const problem of message.problems[name] ?? []) remarks.push(`${shown(name)}: ${problem.message}`);
+      for (const problem of message.problems[name] ?? []) remarks.push(`${shown(name)}: ${saidOf(problem)}`);
       if (about === undefined) continue;
       remarks.push(say("plans_about", { name: shown(name), incision: about.incision, time: figure(about.time_s, 2) }));
       if (about.inverted_cell_count) remarks.push(`${shown(name)}: ${say("figures_inverted", { count: figure(about.inverted_cell_count, 0) })}`);
-      for (const { place, message: why } of about.problems) remarks.push(`${shown(name)}: ${say("figures_left_out", { name: place, why })}`);
+      for (const one of about.problems) remarks.push(`${shown(name)}: ${say("figures_left_out", { name: one.place, why: saidOf(one) })}`);
     }
     if (message.defects.some((/** @type {any} */ one) => one.ranked.some((/** @type {any} */ each) => each.is_too_near))) remarks.push(say("plans_too_near"));
     if (message.defects.some((/** @type {any} */ one) => one.ranked.some((/** @type {any} */ each) => each.is_inverted))) remarks.push(say("plans_inverted"));

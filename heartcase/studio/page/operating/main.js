@@ -7,7 +7,7 @@ import { Plans } from "../figures/plans.js";
 import { SavedPage } from "../figures/saved_page.js";
 import { runLanguage, runTheme, runWords, showCompiling, tellLost } from "../shared/looks.js";
 import { runTabs } from "../shared/tabs.js";
-import { element } from "../shared/elements.js";
+import { element, problemList } from "../shared/elements.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { handFocusOn } from "../shared/focus.js";
 import { keep, kept } from "../shared/settings.js";
@@ -72,7 +72,7 @@ function run() {
     painted: () => [[...panel.structures, ...tissueInside], panel.hidden],
     mainHeader: () => open.header,
     shown: () => showTime(),
-    told: (title, text) => notice("", [{ place: title, message: text }]),
+    told: (title, said) => notice("", [{ ...said, place: title }]),
     failed: fault,
   });
   const panel = new Panel({
@@ -367,7 +367,7 @@ function run() {
     else if (message.kind === "plans") plans.hear(message);
     else if (message.kind === "saved_page") saving.hear(message);
     else if (message.kind === "approval") find("draft-case").hidden = message.is_approved;
-    else if (message.kind === "message") notice("", [{ place: "", message: message.text }]);
+    else if (message.kind === "message") notice("", [/** @type {any} */ (message)]);
     else if (message.kind === "refused" && message.id === null) notice(say("refused"), message.problems ?? []);
     else if (message.kind === "failed") {
       connection.end();
@@ -504,14 +504,14 @@ function run() {
     isOpening = false;
     find("notice").hidden = problems.length === 0;
     noticeUntil = problems.length ? performance.now() + NOTICE_MS : 0;
-    find("notice-words").replaceChildren(...(heading ? [element("strong", "", heading)] : []), list(problems));
+    find("notice-words").replaceChildren(...(heading ? [element("strong", "", heading)] : []), problemList(problems));
   }
 
   /** @param {string} heading @param {readonly Problem[]} problems */
   function curtain(heading, problems) {
     find("curtain").hidden = false;
     find("curtain-bar").hidden = problems.length > 0;
-    find("curtain-words").replaceChildren(element("strong", "", heading), list(problems));
+    find("curtain-words").replaceChildren(element("strong", "", heading), problemList(problems));
   }
 
   /** Nothing more will come: say why, for good. @param {string} heading @param {readonly Problem[]} problems */
@@ -558,18 +558,6 @@ function run() {
   runLanguage();
   runTabs((id) => figures.show(id === "tab-figures"));
   connection.open();
-}
-
-/** @param {readonly Problem[]} problems */
-function list(problems) {
-  const made = element("ul", "problems");
-  for (const { place, message } of problems) {
-    const row = element("li");
-    if (place) row.append(element("span", "place", place), document.createTextNode(": "));
-    row.append(document.createTextNode(message));
-    made.append(row);
-  }
-  return made;
 }
 
 try {

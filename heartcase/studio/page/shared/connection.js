@@ -6,7 +6,7 @@
 import { Signal } from "./signal.js";
 
 /** @typedef {"connecting" | "open" | "lost" | "stranger" | "ended"} State */
-/** @typedef {{place: string, message: string}} Problem */
+/** @typedef {{place: string, message: string, code?: string, values?: Record<string, string>}} Problem */
 /** @typedef {Record<string, any> & {kind: string}} Message */
 /** @typedef {{header: Message, bytes: Uint8Array<ArrayBuffer>}} Package */
 

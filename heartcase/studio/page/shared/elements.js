@@ -1,5 +1,7 @@
 /** Elements that pages are made of. */
 
+import { placeOf, saidOf } from "./said.js";
+
 /**
  * @template {keyof HTMLElementTagNameMap} T
  * @param {T} tag
@@ -28,10 +30,10 @@ export function icon(name) {
 /** What is wrong, line by line. @param {readonly import("./connection.js").Problem[]} problems */
 export function problemList(problems) {
   const list = element("ul", "problems");
-  for (const { place, message } of problems) {
+  for (const problem of problems) {
     const row = element("li");
-    if (place) row.append(element("span", "place", place), document.createTextNode(": "));
-    row.append(document.createTextNode(message));
+    if (problem.place) row.append(element("span", "place", placeOf(problem.place)), document.createTextNode(": "));
+    row.append(document.createTextNode(saidOf(problem)));
     list.append(row);
   }
   return list;

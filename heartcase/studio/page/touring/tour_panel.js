@@ -1,6 +1,6 @@
 /** The guided tour beside the heart: text, questions, and from step to step. All text is set as text, never as markup. */
 
-import { element } from "../shared/elements.js";
+import { element, problemList } from "../shared/elements.js";
 import { language, say } from "../shared/words.js";
 
 /** @typedef {import("./scene.js").Scene} Scene */
@@ -301,8 +301,6 @@ export class TourPanel {
 
   /** @param {readonly Problem[]} problems */
   #told(problems) {
-    const list = element("ul", "problems");
-    list.append(...problems.map(({ place, message }) => element("li", "", place ? `${place}: ${message}` : message)));
-    return list;
+    return problemList(problems);
   }
 }
