@@ -23,6 +23,7 @@ MESSAGES: Mapping[str, str] = {
     "recording-busy": "it is being recorded: end the recording first",
     "recording-name-taken": "there is already a recording of this name: choose another",
     "recording-unwritten": "what was done cannot be written",
+    "recording-cut-short": "it was cut short: the first {seconds#} s are shown",
     "recording-other-case": (
         "this recording is of the case {of} with {count#} nodes, and the case given is not the same ({nodes#} nodes): "
         "give the case that was recorded, not built anew in another way"

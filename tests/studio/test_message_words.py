@@ -19,7 +19,7 @@ from tests.simulator.live.scenes import write_case
 
 SOURCES = [
     Path(heartcase.__file__).parent / folder
-    for folder in ("schemas", "simulator", "studio/operating", "studio/painting")
+    for folder in ("schemas", "simulator", "studio/operating", "studio/offline", "studio/painting")
 ]
 
 

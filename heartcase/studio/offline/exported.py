@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PageResult", "fitting_page_of", "page_of", "site_of"]
 
+_CUT_SHORT = "it was cut short: the first {seconds:.1f} s are shown"
 _TOUR_S = 10.0
 """Simulated time of a tour, about, s: how much of all that is played it counts for."""
 
@@ -98,7 +99,8 @@ def fitting_page_of(
 ) -> tuple[bytes, list[str]]:
     """The file of such a page at the full surface, and its warnings.
 
-    It has as many pictures a second as the longest recording has room for.
+    It has as many pictures a second as the longest recording has room for. A recording that was cut short is played as
+    far as it is whole, and a warning says so.
 
     Raises
     ------
@@ -107,10 +109,11 @@ def fitting_page_of(
     """
     from heartcase.studio.offline.web_page import FRAMES_PER_SECOND
 
-    longest = max((open_recording(one).seconds for one in recordings), default=0.0)
-    rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / max(longest, 1.0))
-    made = page_of(case, recordings, level=0, frames_per_second=rate, told=told)
-    return made.content, list(made.warnings)
+    opened = [(one.stem, open_recording(one, partial=True)) for one in recordings]
+    rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / max([1.0, *(one.seconds for _, one in opened)]))
+    made = page_of(case, recordings, level=0, frames_per_second=rate, is_partial=True, told=told)
+    short = [f"{name}: {_CUT_SHORT.format(seconds=one.seconds)}" for name, one in opened if not one.is_whole]
+    return made.content, [*short, *made.warnings]
 
 
 def site_of(

@@ -113,7 +113,7 @@ async def act(
         case Keep():
             live.stop_recording()
         case Recordings():
-            return {"recordings": await run(stage.recordings)}
+            return await _recordings(stage, run)
         case Hide():
             viewer.hidden = frozenset(request.structures)
         case CutOpen():
@@ -124,8 +124,12 @@ async def act(
             await run(lambda: stage.hold_open(request.incision))
         case Rename():
             await run(lambda: stage.rename(request.name, request.to))
-            return {"recordings": await run(stage.recordings)}
+            return await _recordings(stage, run)
     return {}
+
+
+async def _recordings(stage: Stage, run: Callable[[Callable[[], Any]], Awaitable[Any]]) -> dict[str, Any]:
+    return {"recordings": await run(stage.recordings), "cut_short": await run(stage.cut_short)}
 
 
 def met(viewer: Viewer, look: Look | None) -> Float64:

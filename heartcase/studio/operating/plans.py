@@ -54,7 +54,7 @@ class ComparedPlans:
     def __init__(self, case: Path, out: Path, heard: Callable[[], None]) -> None:
         self._case, self._out, self._heard = case, out, heard
         self._names: tuple[str, ...] = ()
-        self._known: dict[str, tuple[object, Found]] = {}
+        self._known: dict[str, tuple[object, Found, float | None]] = {}
         self._is_working = False
         self._lock = threading.Lock()
         self._beside = Beside("plans")
@@ -87,6 +87,7 @@ class ComparedPlans:
         """What pages are told."""
         with self._lock:
             known = {name: self._known[name][1] for name in self._names if name in self._known}
+            shown_s = {name: one[2] for name, one in self._known.items()}
             names, is_working = self._names, self._is_working
         found = {name: one for name, one in known.items() if isinstance(one, LiveFigures)}
         problems = {
@@ -110,6 +111,7 @@ class ComparedPlans:
                 "time_s": one.time_s,
                 "inverted_cell_count": one.inverted_cell_count,
                 "hand_force_n": one.hand_force_n,
+                "cut_short_s": shown_s[name],
                 "problems": [problem_facts(each.place, each.message) for each in one.problems],
             }
             for name, one in found.items()
@@ -122,9 +124,9 @@ class ComparedPlans:
             for name in wanted:
                 state = self._state_of(name)
                 line.send(str(self._out / name))
-                answer: Found = line.recv()
+                answer, cut_short_s = line.recv()
                 with self._lock:
-                    self._known[name] = state, answer
+                    self._known[name] = state, answer, cut_short_s
                 self._heard()
         if self._beside.is_left:
             # it was left for another comparison, or for good
@@ -133,7 +135,7 @@ class ComparedPlans:
             self._is_working = False
             for name in wanted:
                 # not a state that a recording can have: it is tried again when it is asked for again
-                self._known.setdefault(name, ("ended", (Problem("plans", _ENDED),)))
+                self._known.setdefault(name, ("ended", (Problem("plans", _ENDED),), None))
         self._heard()
 
     def _state_of(self, name: str) -> object:
@@ -166,13 +168,15 @@ def _serve(line: Connection, path: str, reaches: bool) -> None:
     case = None
     with contextlib.suppress(EOFError, OSError):
         while True:
-            recording = Path(line.recv())
+            where = Path(line.recv())
             try:
                 case = case or load_case(Path(path), needs=("surface", "tissue"))
-                line.send(figures_of_recording(case, open_recording(recording), reaches=reaches))
+                recording = open_recording(where, partial=True)
+                found = figures_of_recording(case, recording, reaches=reaches)
+                line.send((found, None if recording.is_whole else recording.seconds))
             except HeartcaseError as error:
-                folders = {str(recording.parent), path}
-                line.send(tuple(Problem(one.place, _without(folders, one.message)) for one in error.problems))
+                folders = {str(where.parent), path}
+                line.send((tuple(Problem(one.place, _without(folders, one.message)) for one in error.problems), None))
 
 
 def _without(folders: set[str], text: str) -> str:

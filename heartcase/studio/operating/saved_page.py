@@ -11,7 +11,7 @@ from typing import Any
 
 from heartcase.schemas.bundle.placing import refuse_inside_case
 from heartcase.schemas.files import atomic_write
-from heartcase.studio.message_words import problem_facts
+from heartcase.studio.message_words import problem_facts, spoken
 from heartcase.studio.messages import told
 from heartcase.studio.operating.beside import Beside
 from heartcase.studio.operating.ending import problems_at
@@ -132,6 +132,6 @@ def _make(line: Connection, page_of: PageOf, case: Path, recordings: list[Path])
     with contextlib.suppress(OSError):
         try:
             content, warnings = page_of(case, recordings, told_seldom(line.send))
-            line.send((content, [problem_facts("", warning) for warning in warnings]))
+            line.send((content, [spoken(warning) for warning in warnings]))
         except Exception as error:
             line.send((b"", problems_at(case, told(error))))

@@ -14,6 +14,7 @@ import numpy as np
 from heartcase.schemas.arrays import Float64
 from heartcase.schemas.bundle.manifest import manifest_bytes
 from heartcase.schemas.errors import HeartcaseError, Problem, RecordingError, UsageError
+from heartcase.schemas.recording.header import read_header
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.background.device_hand import DeviceHand
 from heartcase.simulator.case_simulation import simulation_of_case
@@ -151,24 +152,46 @@ class Stage:
         self.live.close()
         self.live = self._started(self._new_session())
 
-    def replay(self, name: str, speed: float = 1.0, *, skips: bool = False) -> None:
+    def replay(self, name: str, speed: float = 1.0, *, skips: bool = False) -> float | None:
         """Leave the session, and play a recording from its start; ``speed`` and ``skips`` are those of ``Live.play``.
+
+        One that was cut short is played as far as it is whole; one that is being recorded is finished before.
+
+        Returns
+        -------
+        float or None
+            How long it is played of one that was cut short, s; None where it is whole.
 
         Raises
         ------
         HeartcaseError
             There is no such recording, or it is not of this case; the session goes on.
         """
-        recording = open_recording(self._out / self.known(name))
+        path = self._out / self.known(name)
+        if self.live.newest.recording == name:
+            self.live.stop_recording()
+            self.live.settle(_KEEP_S)
+        recording = open_recording(path, partial=True)
         case = self._case
         session = load_session(recording, case.model, surface=case.surface, tissue=case.tissue)
         self.detach()
         self.live.close()
         self.live = self._started(session, speed=speed, skips=skips)
+        return None if recording.is_whole else recording.seconds
 
     def recordings(self) -> list[str]:
         """Names of the recordings that are there, the newest first."""
         return sorted(self._found(), key=lambda name: (self._out / name).stat().st_mtime, reverse=True)
+
+    def cut_short(self) -> list[str]:
+        """Names of the recordings that were never finished, as where the server was killed."""
+        return [name for name in self._found() if name != self.live.newest.recording and self._is_cut_short(name)]
+
+    def _is_cut_short(self, name: str) -> bool:
+        try:
+            return read_header(self._out / name).end is None
+        except HeartcaseError:
+            return False
 
     def known(self, name: str) -> str:
         """The name of a recording that is there.

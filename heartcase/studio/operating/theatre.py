@@ -297,7 +297,10 @@ class Theatre:
                 if replayed is None:
                     await self._run(newest.begin)
                 else:
-                    await self._run(lambda: newest.replay(replayed.name, replayed.speed, skips=replayed.skips))
+                    name, speed, skips = replayed.name, replayed.speed, replayed.skips
+                    shown_s = await self._run(lambda: newest.replay(name, speed, skips=skips))
+                    self._show_begun(live)
+                    return {} if shown_s is None else {"cut_short_s": shown_s}
                 self._show_begun(live)
             case Strain():
                 viewer.wants_strain = request.shown

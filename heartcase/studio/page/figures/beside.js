@@ -160,7 +160,7 @@ export class Beside {
     else this.#ask(request);
   }
 
-  /** @param {Record<string, unknown> & {do: string}} request @param {() => void} [done] */
+  /** @param {Record<string, unknown> & {do: string}} request @param {(answer: Message) => void} [done] */
   #ask(request, done) {
     if (!this.#isReady) return;
     this.#connection?.ask(request).then(done, (error) => {
@@ -171,8 +171,9 @@ export class Beside {
   /** Where there is no line it is due when there is one. */
   #replay() {
     const name = this.#name;
-    this.#ask({ do: "replay", name, speed: this.speed }, () => {
+    this.#ask({ do: "replay", name, speed: this.speed }, ({ cut_short_s: seconds }) => {
       if (name === this.#name) this.#isDue = false;
+      if (seconds !== undefined) this.does.told(name.replace(/\.recording$/, ""), { place: "", message: say("recording_cut_short", { seconds: figure(seconds, 1) }) });
     });
   }
 

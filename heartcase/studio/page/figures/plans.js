@@ -18,6 +18,8 @@ const shown = (name) => name.replace(ENDING, "");
 export class Plans {
   /** @type {readonly string[]} */
   #names = [];
+  /** @type {Set<string>} */
+  #cutShort = new Set();
   /** In the order in which they were chosen. @type {string[]} */
   #chosen = [];
   /** @type {string | null} */
@@ -44,8 +46,9 @@ export class Plans {
     return this.#chosen;
   }
 
-  /** @param {readonly string[]} names the newest first */
-  showRecordings(names) {
+  /** @param {readonly string[]} names the newest first @param {readonly string[]} cutShort those that were never finished */
+  showRecordings(names, cutShort = []) {
+    this.#cutShort = new Set(cutShort);
     this.#names = names;
     this.#chosen = this.#chosen.filter((one) => names.includes(one));
     this.#renamed = null;
@@ -83,7 +86,8 @@ export class Plans {
       this.#fill();
       /** @type {HTMLInputElement | null} */ (find("recordings").querySelector("input[type=text]"))?.select();
     });
-    row.append(choose, element("span", "name", shown(name)), replay, rename);
+    const marks = this.#cutShort.has(name) ? [element("span", "cut-short", say("recording_is_cut_short"))] : [];
+    row.append(choose, element("span", "name", shown(name)), ...marks, replay, rename);
     return row;
   }
 
@@ -145,6 +149,7 @@ export class Plans {
       const about = message.about[name];
       for (const problem of message.problems[name] ?? []) remarks.push(`${shown(name)}: ${saidOf(problem)}`);
       if (about === undefined) continue;
+      if (about.cut_short_s !== null) remarks.push(`${shown(name)}: ${say("recording_cut_short", { seconds: figure(about.cut_short_s, 1) })}`);
       remarks.push(say("plans_about", { name: shown(name), incision: about.incision, time: figure(about.time_s, 2) }));
       if (about.inverted_cell_count) remarks.push(`${shown(name)}: ${say("figures_inverted", { count: figure(about.inverted_cell_count, 0) })}`);
       for (const one of about.problems) remarks.push(`${shown(name)}: ${say("figures_left_out", { name: one.place, why: saidOf(one) })}`);

@@ -222,7 +222,8 @@ function run() {
       tellSize();
     }
     showLine(answer);
-    if (answer.recordings) plans.showRecordings(answer.recordings);
+    if (answer.recordings) plans.showRecordings(answer.recordings, answer.cut_short);
+    if (answer.cut_short_s !== undefined) notice("", [{ place: "", message: say("recording_cut_short", { seconds: figure(answer.cut_short_s, 1) }) }]);
     if (answer.used === false && answer.id === lettingGo) notice("", [{ place: "", message: say("operate_nothing_held") }]);
   }
 

@@ -55,6 +55,8 @@ export const operating = {
   branch_stitch_several: "{count} Stiche oder Stichreihen",
   operate_tied: "Geknotete Stiche: {count}. Der Faden zieht mit höchstens {force} N.",
   operate_tied_less: "Gezogen mit {force} N statt {asked} N: Die Enden trafen sich vorher, oder der Faden ist so steif, wie der Zeitschritt zulässt. Weniger Zug wählen oder später knoten.",
+  recording_cut_short: "Sie wurde abgebrochen: Gezeigt werden die ersten {seconds} s.",
+  recording_is_cut_short: "abgebrochen",
   recording_opening: "Die Aufnahme {name} wird geöffnet …",
   save_page: "Als Webseite speichern",
   save_page_says: "Eine Datei, die jeder Browser ohne heartcase öffnet, zum Weitergeben: das Modell, Schnittebenen, geführte Touren und die angekreuzten Aufnahmen.",

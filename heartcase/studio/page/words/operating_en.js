@@ -55,6 +55,8 @@ export const operating = {
   branch_stitch_several: "{count} stitches or rows",
   operate_tied: "Tied stitches: {count}. The thread pulls with {force} N at most.",
   operate_tied_less: "Pulled with {force} N instead of {asked} N: its ends met first, or the thread is as stiff as the time step allows. Draw with less, or tie later.",
+  recording_cut_short: "It was cut short: the first {seconds} s are shown.",
+  recording_is_cut_short: "cut short",
   recording_opening: "Opening the recording {name} …",
   save_page: "Save as a web page",
   save_page_says: "One file that any browser opens without heartcase, to hand on: the model, planes that cut it open, guided tours, and the recordings that are ticked.",
