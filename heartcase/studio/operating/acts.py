@@ -96,7 +96,13 @@ async def act(
             pointer = None if look is None else await run(lambda: viewer.pointer(look))
             return {"used": hands.let_go(pointer)}
         case Along():
-            along = {"undo": hands.undo, "redo": hands.redo, "back": hands.rewind, "tie": hands.tie}
+            along = {
+                "undo": hands.undo,
+                "redo": hands.redo,
+                "back": hands.rewind,
+                "tie": hands.tie,
+                "abandon": hands.abandon,
+            }
             along.get(request.do, hands.put_down)()
         case Run():
             live.pause(request.paused)

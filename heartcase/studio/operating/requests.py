@@ -145,9 +145,12 @@ class LetGo(_Asked):
 
 
 class Along(_Asked):
-    """Take the last act back, do it again, go back by a second, put down what was begun, tie all stitches."""
+    """Take the last act back, do it again, go back by a second, put down what was begun, tie all stitches.
 
-    do: Literal["undo", "redo", "back", "put_down", "tie"]
+    ``abandon`` puts down as a page that is lost does: what is led stays, and lets go softly.
+    """
+
+    do: Literal["undo", "redo", "back", "put_down", "abandon", "tie"]
     """Which request."""
 
 

@@ -17,7 +17,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from heartcase.studio.building.building import Building
-from heartcase.studio.messages import problems_of, told
+from heartcase.studio.messages import problems_of, text_message, told
 from heartcase.studio.operating.theatre import Theatre
 from heartcase.studio.pages import Page, Place
 from heartcase.studio.painting.workplace import Workplace
@@ -35,6 +35,9 @@ _PAGES = {"prepare": "index.html", "operate": "operating/operate.html"}
 """Pages that show what is open, and the HTML of each."""
 _LINES = ("socket", "building", "operating", "beside")
 """Sockets that talk to what is open."""
+_ALIVE = text_message("alive")
+_BEAT_S = 0.5
+"""A page that operates is given a sign of life so often where it is told nothing else, s: without one it says so."""
 
 
 def make_app(registry: Registry, *, token: str, port: int, start: Start | None = None) -> ASGIApp:
@@ -132,7 +135,7 @@ async def _serve_page(websocket: WebSocket, place: Place, told_by: Start | None 
     page = Page()
     if told_by is not None:
         told_by.follow(page)
-    sender = asyncio.create_task(_send(websocket, page))
+    sender = asyncio.create_task(_send(websocket, page, _BEAT_S if isinstance(place, Theatre) else None))
     # Requests are read while a recipe is being opened, and wait for it.
     joined = asyncio.create_task(place.join(page))
     try:
@@ -157,10 +160,10 @@ async def _forget(place: Place, page: Page, joined: asyncio.Task[None]) -> None:
     await place.leave(page)
 
 
-async def _send(websocket: WebSocket, page: Page) -> None:
+async def _send(websocket: WebSocket, page: Page, beat_s: float | None) -> None:
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         try:
-            while (message := await page.waiting.get()) is not None:
+            while (message := await _next(page, websocket, beat_s)) is not None:
                 if isinstance(message, str):
                     await websocket.send_text(message)
                 else:
@@ -170,3 +173,14 @@ async def _send(websocket: WebSocket, page: Page) -> None:
             await websocket.close(1011)
             return
         await websocket.close(1013)
+
+
+async def _next(page: Page, websocket: WebSocket, beat_s: float | None) -> str | bytes | None:
+    """What is to be sent next; while there is nothing, a sign of life each so many seconds."""
+    waiting = asyncio.create_task(page.waiting.get())
+    try:
+        while not (await asyncio.wait({waiting}, timeout=beat_s))[0]:
+            await websocket.send_text(_ALIVE)
+        return waiting.result()
+    finally:
+        waiting.cancel()

@@ -460,3 +460,28 @@ def test_frames_that_tell_what_moved_add_up_to_all_that_is(seed):
             part[:] = steps[: len(part)] * header["scale"]
         before = now
         np.testing.assert_array_equal(held, now.steps * now.scale)
+
+
+def test_a_page_hears_that_the_server_is_there_while_time_stands(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        page.done("pause", paused=True)
+        page.until(lambda frame: frame["mode"] == "paused")
+        began = time.monotonic()
+        for _ in range(4):
+            page.hear("alive")
+        assert 1.0 < time.monotonic() - began < 10.0
+        page.done("pause", paused=False)
+
+
+def test_what_a_page_leads_can_be_left_to_let_go_softly(operated):
+    browser, opened = operated
+    with operator(browser, opened) as page:
+        page.done("begin")
+        page.done("take", tool="g")
+        assert page.at("press", TOP)["used"]
+        page.at("drag", (24.0, -14.0, 40.5))
+        page.until(lambda frame: frame["instruments"])
+        page.done("abandon")
+        page.until(lambda frame: not frame["instruments"])
+        assert page.at("drag", (24.0, -14.0, 40.5))["used"] is False

@@ -70,7 +70,7 @@ beforeEach(() => {
   [main, asked, told] = [null, [], []];
   beside = new Beside({ drawn: [] }, {
     askMain: (request) => asked.push(request), painted: () => [[], new Set()], mainHeader: () => main, shown: () => {},
-    told: (title, text) => told.push(`${title}: ${text}`), failed: (error) => assert.fail(error),
+    told: (title, { message }) => told.push(`${title}: ${message}`), failed: (error) => assert.fail(error),
   }, () => picture);
 });
 
@@ -122,7 +122,7 @@ test("after the line was lost the recording is played again where another sessio
   assert.deepEqual(wanted(), []);
   socket.dispatchEvent(new Event("close"));
   await later(400);
-  await said({ kind: "message", text: "it was closed" });
+  await said({ kind: "message", text: "it was closed", place: "", message: "it was closed" });
   await opened();
   await frame({ mode: "running", time_s: 0.1, end_s: 0.1 });
   assert.deepEqual(wanted(), [{ do: "replay", name: "b.recording", speed: 1 }]);

@@ -464,6 +464,7 @@ function run() {
     if (document.body.dataset.ready !== "true") {
       document.body.dataset.ready = "true";
       find("curtain").hidden = true;
+      connection.watch();
     }
   }
 
@@ -537,12 +538,23 @@ function run() {
 
   function tellState() {
     const state = connection.state.value;
-    tellLost(state, state === "lost" ? say("operate_lost") : state === "stranger" ? say("operate_stranger") : "");
+    tellLost(state, state === "lost" ? say("operate_lost") : state === "silent" ? say("operate_silent") : state === "stranger" ? say("operate_stranger") : "");
   }
 
+  /** Whether all that is missing is an answer: what the page knows still holds when it comes. */
+  let isSilent = false;
   connection.state.follow((state) => {
     tellState();
-    if (state === "open") return;
+    if (state === "open") {
+      if (!isSilent) return;
+      isSilent = false;
+      isReady = true;
+      document.body.dataset.ready = "true";
+      ask({ do: "abandon" });
+      showTime();
+      return;
+    }
+    isSilent = state === "silent" && isReady;
     isReady = false;
     document.body.dataset.ready = "false";
     forget();

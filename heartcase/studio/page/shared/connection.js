@@ -5,13 +5,16 @@
 
 import { Signal } from "./signal.js";
 
-/** @typedef {"connecting" | "open" | "lost" | "stranger" | "ended"} State */
+/** @typedef {"connecting" | "open" | "silent" | "lost" | "stranger" | "ended"} State */
 /** @typedef {{place: string, message: string, code?: string, values?: Record<string, string>}} Problem */
 /** @typedef {Record<string, any> & {kind: string}} Message */
 /** @typedef {{header: Message, bytes: Uint8Array<ArrayBuffer>}} Package */
 
 const FIRST_WAIT_MS = 300;
 const LONGEST_WAIT_MS = 8000;
+/** A server that is watched is silent where nothing came for so long; it gives a sign of life twice a second. */
+const SILENT_MS = 2000;
+const LOOK_MS = 500;
 /** Requests that change nothing. */
 const ASKING = new Set(["suggest", "propose", "find_ends", "planes", "preview", "picture", "confirm", "look", "rest"]);
 
@@ -75,7 +78,7 @@ export function waitMs(tries) {
 }
 
 export class Connection {
-  /** A stranger is who the server no longer knows: it was started anew, with another key. @type {Signal<State>} */
+  /** A stranger is who the server no longer knows: it was started anew, with another key. Silent is a server that does not answer. @type {Signal<State>} */
   state = new Signal(/** @type {State} */ ("connecting"));
   /** Requests that change the recipe and have no answer yet. @type {Signal<number>} */
   changing = new Signal(0);
@@ -83,6 +86,10 @@ export class Connection {
   #socket = null;
   #nextId = 1;
   #tries = 0;
+  #heardMs = 0;
+  #lookedMs = -Infinity;
+  /** @type {ReturnType<typeof setInterval> | undefined} */
+  #watch;
   /** @type {Promise<void>} */
   #queue = Promise.resolve();
   /** @type {Map<number, {changes: boolean, resolve: (answer: Message) => void, reject: (error: Error) => void}>} */
@@ -109,9 +116,11 @@ export class Connection {
     this.#queue = Promise.resolve();
     socket.addEventListener("open", () => {
       this.#tries = 0;
+      this.#heardMs = performance.now();
       this.state.value = "open";
     });
     socket.addEventListener("message", (event) => {
+      if (socket === this.#socket) this.#hears();
       const unpacked = typeof event.data === "string" ? null : unpack(event.data);
       // its fault is told when its turn comes
       unpacked?.catch(() => undefined);
@@ -120,8 +129,27 @@ export class Connection {
     socket.addEventListener("close", () => this.#closed(socket));
   }
 
+  /** Tell from now on where the server is silent: one that is opening something may be so for long. */
+  watch() {
+    this.#watch ??= setInterval(() => this.look(performance.now()), LOOK_MS);
+  }
+
+  /** Look whether the server is silent. @param {number} now ms */
+  look(now) {
+    // a page that slept, or was busy, has what came meanwhile still to take
+    if (now - this.#lookedMs > 3 * LOOK_MS) this.#heardMs = Math.max(this.#heardMs, now);
+    this.#lookedMs = now;
+    if (this.state.value === "open" && now - this.#heardMs > SILENT_MS) this.state.value = "silent";
+  }
+
+  #hears() {
+    this.#heardMs = performance.now();
+    if (this.state.value === "silent") this.state.value = "open";
+  }
+
   /** No more tries: the server said that it cannot go on. */
   end() {
+    clearInterval(this.#watch);
     this.state.value = "ended";
   }
 

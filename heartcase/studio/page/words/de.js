@@ -271,6 +271,7 @@ export const words = {
   operate_opening: "Der Fall wird geöffnet …",
   operate_failed: "Der Fall lässt sich nicht öffnen:",
   operate_broken_why: "etwas Unerwartetes ist geschehen. Die Seite neu laden: Die Sitzung geht weiter, wo sie war.",
+  operate_silent: "heartcase antwortet nicht. Instrumente bleiben stehen und lassen sanft los, sobald es wieder antwortet; hier ist nichts zu tun.",
   operate_lost: "Die Verbindung zu heartcase ist abgerissen. Instrumente bleiben stehen und lassen sanft los. Es wird von selbst wieder versucht.",
   operate_stranger: "heartcase wurde neu gestartet, diese Seite führt nicht mehr weiter. Bitte schließen und die Seite benutzen, die sich geöffnet hat, oder die Adresse öffnen, die in dem Fenster steht, in dem heartcase gestartet wurde. Was seit der letzten Aufzeichnung geschah, ist verloren.",
   operate_help_first: "Ein Instrument wählen, auf das Herz drücken und ziehen: Das Gewebe folgt. Neben dem Herzen, oder ohne Instrument, dreht Ziehen es. Mit dem Skalpell eine Linie zeichnen: Beim Loslassen wird an ihr entlang geschnitten.",

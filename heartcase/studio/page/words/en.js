@@ -270,6 +270,7 @@ export const words = {
   operate_opening: "Opening the case …",
   operate_failed: "The case cannot be opened:",
   operate_broken_why: "something unexpected happened. Load the page again: the session goes on where it was.",
+  operate_silent: "heartcase does not answer. Instruments stay, and let go softly when it does; nothing need be done here.",
   operate_lost: "The connection to heartcase was lost. Instruments stay and let go softly. It is tried again by itself.",
   operate_stranger: "heartcase was started again, so this page is of no use any more. Close it, and use the one that has opened, or open the address that stands in the window where heartcase was started. What was done since the last recording is lost.",
   operate_help_first: "Take an instrument, press on the heart and pull: the tissue follows. Beside the heart, or without an instrument, dragging turns it. Draw a line with the blade: it cuts along it when you let go.",
