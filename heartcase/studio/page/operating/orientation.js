@@ -9,6 +9,8 @@ import { SIDES } from "../section/plane.js";
 /** @typedef {{pen: CanvasRenderingContext2D, ink: string, paper: string, write: Write}} Drawing */
 
 const INSET = 8;
+/** Below the buttons over a view. */
+const BELOW_BUTTONS = 46;
 const LENGTHS_MM = [1, 2, 5, 10, 20, 50, 100, 200];
 const SCALE_PART = 0.25;
 /** A side counts from this part of a direction on. */
@@ -34,10 +36,10 @@ export const lettersOf = (direction) => sidesOf(direction).map((side) => LETTERS
 
 /**
  * Draw them anew; with what more can be drawn.
- * @param {HTMLCanvasElement} canvas @param {Camera} camera
+ * @param {HTMLCanvasElement} canvas @param {Camera} camera @param {number} [top] where the upper letter begins, CSS pixels
  * @returns {Drawing}
  */
-export function drawOrientation(canvas, camera) {
+export function drawOrientation(canvas, camera, top = INSET) {
   const ratio = Math.min(devicePixelRatio || 1, 2);
   const [width, height] = [Math.round(camera.width * ratio), Math.round(camera.height * ratio)];
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -56,7 +58,7 @@ export function drawOrientation(canvas, camera) {
   const back = (/** @type {Vector} */ way) => /** @type {Vector} */ (way.map((part) => -part));
   write(lettersOf(camera.right), camera.width - INSET, camera.height / 2, "right", "middle");
   write(lettersOf(back(camera.right)), INSET, camera.height / 2, "left", "middle");
-  write(lettersOf(camera.up), camera.width / 2, INSET, "center", "top");
+  write(lettersOf(camera.up), camera.width / 2, top, "center", "top");
   write(lettersOf(back(camera.up)), camera.width / 2, camera.height - INSET, "center", "bottom");
   // at the middle of what is seen
   const room = SCALE_PART * camera.width * camera.mmPerPixel;
@@ -85,6 +87,6 @@ export class Orientation {
     const shown = JSON.stringify([right, up, mmPerPixel, width, height, document.documentElement.dataset.theme, devicePixelRatio]);
     if (shown === this.#drawn) return;
     this.#drawn = shown;
-    drawOrientation(this.canvas, this.camera);
+    drawOrientation(this.canvas, this.camera, BELOW_BUTTONS);
   }
 }
