@@ -82,6 +82,9 @@ def test_nothing_is_covered(chromium, served, locale):  # noqa: F811
         for name in ("whole", "torn"):
             tab.locator("#recordings li", has_text=name).locator("input").check()
         until(lambda: tab.locator("#side-by-side").is_enabled())
+        # nor does a mark squeeze a recording's name
+        names = [one.bounding_box() for one in tab.locator("#recordings .name").all()]
+        assert min(one["width"] for one in names) > 70.0
         tab.locator("#side-by-side").click()
         until(lambda: tab.locator("#beside").is_visible())
         page.drawn()

@@ -86,8 +86,9 @@ export class Plans {
       this.#fill();
       /** @type {HTMLInputElement | null} */ (find("recordings").querySelector("input[type=text]"))?.select();
     });
-    const marks = this.#cutShort.has(name) ? [element("span", "cut-short", say("recording_is_cut_short"))] : [];
-    row.append(choose, element("span", "name", shown(name)), ...marks, replay, rename);
+    const named = element("span", "name", shown(name));
+    if (this.#cutShort.has(name)) named.append(element("span", "cut-short", say("recording_is_cut_short")));
+    row.append(choose, named, replay, rename);
     return row;
   }
 
