@@ -38,8 +38,9 @@ def until(condition, *, seconds=60.0):
 
 
 def threads():
-    """Threads that run, but those in which a simulation works out cuts: they wait for the next, and end with it."""
-    return sorted(one.name for one in threading.enumerate() if not one.name.startswith("heartcase-cuts"))
+    """Threads that run, but those that work out a simulation's cuts, which end with it, and those that loops share."""
+    own = ("heartcase-cuts", "heartcase-loop")
+    return sorted(one.name for one in threading.enumerate() if not one.name.startswith(own))
 
 
 def bytes_of(simulation):
