@@ -69,7 +69,10 @@ def test_two_pages_show_the_same_and_draw_their_own_strokes(recipe):
     with studio(path) as browser, page(browser) as one, page(browser) as other:
         one.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
         refused = other.ask(do="extend", points_mm=[middle])
-        assert refused["problems"] == [{"place": "extend", "message": "there is no stroke to go on with: begin one"}]
+        (problem,) = refused["problems"]
+        assert problem["place"] == "extend"
+        assert problem["code"] == "nothing-to-go-on"
+        assert problem["message"] == "there is no stroke to go on with: begin one"
         np.testing.assert_array_equal(one.labels, other.labels)
         # somebody else's stroke ends the first one's
         other.ask(do="paint", label="background", radius_mm=1.0, points_mm=[middle])
