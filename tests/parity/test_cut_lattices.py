@@ -48,6 +48,12 @@ def cut_block(size, law=None, *, seed=0, sheet_count=4, **options) -> LatticeMod
     return part(model, sheets, TissueSamples.everywhere()).model
 
 
+def small_sheet() -> Sheet:
+    """A sheet through one cell of a block and none of those around it."""
+    low, high = 2.01, 2.99
+    return Sheet.swept([[[low, low, 2.5], [high, low, 2.5]], [[low, high, 2.5], [high, high, 2.5]]])
+
+
 def forces_of(model: LatticeModel, displacement) -> tuple[np.ndarray, np.ndarray]:
     engine = CpuEngine(model)
     engine.load(State(displacement, np.zeros_like(displacement)))
@@ -62,6 +68,21 @@ def test_forces_agree(law, data, seed, scale):
     displacement = random_field(model, seed, scale)
     ours, truth = forces_of(model, displacement)
     assert np.abs(ours - truth).max() <= 100 * EPS * max(np.abs(truth).max(), scale)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("size", [(5, 5, 5), (40, 5, 5)])
+def test_a_cell_is_parted_by_a_sheet_that_leaves_all_nodes_whole(law, size):
+    """Both pieces of the one cell have the same eight nodes: neither may be forgotten."""
+    whole = block(*size, law=law)
+    model = part(whole, [small_sheet()], TissueSamples.everywhere()).model
+    assert (model.node_count, model.cell_count) == (whole.node_count, whole.cell_count + 1)
+    rows = model.cell_corners.tolist()
+    assert rows.count(rows[-1]) == 2
+    for seed in range(3):
+        displacement = random_field(model, seed, 0.3)
+        ours, truth = forces_of(model, displacement)
+        assert np.abs(ours - truth).max() <= 100 * EPS * np.abs(truth).max()
 
 
 @settings(max_examples=20, deadline=None)

@@ -22,16 +22,18 @@ class CopiedRows(NamedTuple):
 
 
 def copied_rows(model):
-    """The rows of a lattice that have copies, in layers; None where no node has any."""
+    """The rows of a lattice that have copies, or cells with one lowest node, in layers; None where there are none."""
     keys = lattice_keys(model.node_index)
-    if (np.diff(keys) > 0).all():
+    lowest, cell_count = np.unique(model.cell_corners[:, 0], return_counts=True)
+    shared = lowest[cell_count > 1]
+    if (np.diff(keys) > 0).all() and not len(shared):
         return None
     places = model.node_index.copy()
     places[:, 0] = 0
     rows = lattice_keys(places)
     order = np.argsort(keys, kind="stable")
     twins = order[1:][np.diff(keys[order]) == 0]
-    row_keys = np.unique(rows[twins])
+    row_keys = np.unique(rows[np.concatenate([twins, shared])])
     is_copied = are_among(rows, row_keys)
     after, before = _paths(model, is_copied)
     starts = np.flatnonzero(is_copied & (before < 0))

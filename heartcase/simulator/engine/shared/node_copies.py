@@ -64,11 +64,12 @@ class _Slots(Protocol):
 def layers_of_copies(model: LatticeModel, rows: Rows) -> tuple[Int32, Bool]:
     """Layer of its row that each node lies in, shape (node_count,), and whether each row has copies.
 
-    The layer is 0 in all rows without copies. Where no row has any, the second is of length 0.
+    A row where several cells have one lowest node counts as one with copies. The layer is 0 in all rows without
+    copies. Where no row has any, the second is of length 0.
     """
     layer, is_copied = np.zeros(model.node_count, np.int32), np.zeros(rows.count, np.bool_)
     low, length = rows.low[0], rows.high[0] - rows.low[0] + 1
-    if not mark_copied_rows(model.node_index, rows.row, low, length, is_copied):
+    if not mark_copied_rows(model.node_index, model.cell_corners, rows.row, low, length, is_copied):
         return layer, is_copied[:0]
     lay_in_layers(model.node_index, model.cell_corners, rows.row, is_copied, low, length, layer)
     return layer, is_copied

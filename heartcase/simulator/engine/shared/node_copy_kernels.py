@@ -27,8 +27,11 @@ _APART_MOST = 8
 
 
 @kernel
-def mark_copied_rows(node_index, row, low_i, length, is_copied):
-    """Mark the rows in which several nodes lie in one place; returns whether there are any."""
+def mark_copied_rows(node_index, corners, row, low_i, length, is_copied):
+    """Mark the rows in which several nodes lie in one place, or cells have one lowest node; returns whether any do.
+
+    A sheet may part a cell without a copy of a node: where both pieces reach each of its nodes around the sheet.
+    """
     is_there = np.zeros(len(is_copied) * length, np.bool_)
     found = False
     for node in range(len(node_index)):
@@ -37,6 +40,13 @@ def mark_copied_rows(node_index, row, low_i, length, is_copied):
             is_copied[row[node]] = True
             found = True
         is_there[place] = True
+    is_lowest = np.zeros(len(node_index), np.bool_)
+    for cell in range(len(corners)):
+        lowest = U(corners[U(cell), U(0)])
+        if is_lowest[lowest]:
+            is_copied[row[lowest]] = True
+            found = True
+        is_lowest[lowest] = True
     return found
 
 
