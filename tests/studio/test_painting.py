@@ -2,6 +2,7 @@
 
 import errno
 import json
+import threading
 import time
 
 import numpy as np
@@ -205,6 +206,44 @@ def test_a_recipe_that_was_changed_before_it_is_looked_at_is_read_again(recipe):
             with page(browser) as other:
                 assert other.opened["name"] == "again"
             talker.hear("opened")
+
+
+def test_a_recipe_that_is_being_written_is_waited_for(recipe):
+    """An editor empties the file before it writes it."""
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        whole = path.read_text().replace('"painted"', '"changed"')
+        path.write_text("")
+        writer = threading.Timer(0.1, lambda: path.write_text(whole))
+        writer.start()
+        refused = talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        writer.join()
+        assert "it was opened again, so look before you go on" in refused["problems"][0]["message"]
+        assert [one["name"] for one in talker.told if one["kind"] == "opened"][-1] == "changed"
+        assert not [one for one in talker.told if one["kind"] == "failed"]
+        assert talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])["kind"] == "done"
+
+
+@pytest.mark.parametrize("has_stroke", [False, True])
+def test_a_recipe_that_another_program_spoilt_says_so_and_is_opened_when_it_is_mended(recipe, has_stroke):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker, page(browser) as other:
+        if has_stroke:
+            talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        whole = path.read_text()
+        path.write_text(whole.replace("scan.nii.gz", "another.nii.gz"))
+        (problem,) = talker.ask(do="lock", label="aorta", locked=True)["problems"]
+        assert "cannot be opened any more" in problem["message"]
+        assert ("the last stroke, which was not saved yet, is lost" in problem["message"]) == has_stroke
+        (failed,) = [one for one in talker.told if one["kind"] == "failed"]
+        for one in (failed, other.hear("failed")):
+            first, *others = one["problems"]
+            assert first == problem
+            assert others[0]["place"] == "scan.path"
+        path.write_text(whole)
+        with page(browser) as again:
+            assert again.opened["name"] == "painted"
+            np.testing.assert_array_equal(again.labels, shown_from_scratch(path))
 
 
 def test_a_change_between_the_look_and_the_act_is_seen_too(recipe, monkeypatch):

@@ -225,7 +225,8 @@ function run() {
   function fault(error) {
     if (error instanceof Lost) return;
     if (error instanceof Refused) {
-      status.refused(error.problems);
+      // a page that has ended says why already
+      if (connection.state.value !== "ended") status.refused(error.problems);
       return;
     }
     connection.end();

@@ -31,6 +31,14 @@ _CHANGED_AND_LOST = (
     "another program changed the recipe: it was opened again, and the last stroke, which was not saved yet, is lost; "
     "look before you go on"
 )
+_SPOILT = "another program changed the recipe, and it cannot be opened any more: mend it, then load this page again"
+_SPOILT_AND_LOST = (
+    "another program changed the recipe, and it cannot be opened any more; the last stroke, which was not saved yet, "
+    "is lost: mend the recipe, then load this page again"
+)
+_WRITING_S = 0.25
+"""How long to wait for a program that may still be writing the recipe."""
+_TRIES = 20
 
 
 class Workplace:
@@ -218,19 +226,42 @@ class Workplace:
         self._thread.shutdown()
         self._aside.shutdown(cancel_futures=True)
 
-    async def _show_all(self, pages: tuple[Page, ...]) -> None:
+    async def _show_all(self, pages: tuple[Page, ...], *, if_spoilt: RecipeError | None = None) -> None:
+        """Show pages everything; where it cannot be opened, why, after what is to be said of it first."""
         try:
-            if self._painting is None:
-                loop = asyncio.get_running_loop()
-                listener = _Progress(lambda message: loop.call_soon_threadsafe(self._tell, message))
-                self._painting = await self._run(lambda: open_painting(self._recipe, out=self._out, listener=listener))
-            messages = await self._run(self._painting.greeting)
+            painting = self._painting or await self._opened()
+            messages = await self._run(painting.greeting)
         except Exception as error:
-            messages = (text_message("failed", problems=problems_of(told(error))),)
+            before = [] if if_spoilt is None else problems_of(if_spoilt)
+            messages = (text_message("failed", problems=[*before, *problems_of(told(error))]),)
         for page in pages:
             for message in messages:
                 page.send(message)
         self._states.later()
+
+    async def _opened(self) -> Painting:
+        """Open the recipe; one that another program is writing is waited for."""
+        loop = asyncio.get_running_loop()
+        listener = _Progress(lambda message: loop.call_soon_threadsafe(self._tell, message))
+        tries = 1
+        while True:
+            text = await self._run(self._text)
+            try:
+                painting = await self._run(lambda: open_painting(self._recipe, out=self._out, listener=listener))
+            except Exception:
+                await asyncio.sleep(_WRITING_S)
+                if tries == _TRIES or await self._run(self._text) == text:
+                    raise
+                tries += 1
+            else:
+                self._painting = painting
+                return painting
+
+    def _text(self) -> bytes | None:
+        try:
+            return self._recipe.read_bytes()
+        except OSError:
+            return None
 
     async def _reopened(self, painting: Painting, *, but: Page | None = None) -> RecipeError | None:
         """Open a recipe again that another program changed; all pages are told of a stroke that is lost by it.
@@ -250,15 +281,20 @@ class Workplace:
         if not await self._run(lambda: painting.is_stale):
             return None
         is_lost = not painting.is_saved
-        await self._open_again()
+        spoilt = RecipeError(_SPOILT_AND_LOST if is_lost else _SPOILT, place="recipe")
+        if not await self._open_again(if_spoilt=spoilt):
+            # all pages have been told
+            return spoilt
         error = RecipeError(_CHANGED_AND_LOST if is_lost else _CHANGED, place="recipe")
         for page in self._pages - {but} if is_lost else ():
             page.send(text_message("refused", id=None, problems=problems_of(error)))
         return error
 
-    async def _open_again(self) -> None:
+    async def _open_again(self, *, if_spoilt: RecipeError | None = None) -> bool:
+        """Open it again for all pages; whether it can be opened."""
         self._painting = None
-        await self._show_all(tuple(self._pages))
+        await self._show_all(tuple(self._pages), if_spoilt=if_spoilt)
+        return self._painting is not None
 
     async def _refusing(self, work: Callable[[], tuple[str, ...]]) -> None:
         """Do something for nobody in particular: what comes of it is told to all, also what is refused."""
