@@ -27,6 +27,8 @@ from heartcase.studio.starting.start import Start
 TOKEN = "a-token"
 WAIT_MS = 120_000
 """Until the page is ready: kernels may have to be compiled first."""
+SILENT_MS = 60_000
+"""How long a page that operates waits before it says that the server does not answer."""
 
 STRAIGHT = np.diag([-1.0, 1.0, 1.0])
 """Stored with i to the patient's right."""
@@ -132,6 +134,10 @@ class Page:
 
     def ready(self):
         self.tab.locator("body[data-ready=true]").wait_for(timeout=WAIT_MS)
+        if self.tab.locator("body.operate-page:not(.offline-page)").count():
+            # on a busy machine this process may stand still for long, and what a user does meanwhile is left out
+            script = "async (ms) => { (await import('/static/operating/main.js')).open.connection.silentMs = ms; }"
+            self.tab.evaluate(script, SILENT_MS)
         self.drawn()
 
     def drawn(self):

@@ -43,8 +43,8 @@ const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
 runWords();
 
-/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any, tour: TourPanel | null}} */
-export const open = { picture: null, header: null, tour: null };
+/** What is open, for whoever looks at the page from outside, such as its tests. @type {{picture: Picture | null, header: any, tour: TourPanel | null, connection: Connection | null}} */
+export const open = { picture: null, header: null, tour: null, connection: null };
 
 function run() {
   const picture = new Picture(/** @type {HTMLCanvasElement} */ (find("picture")), find("scene"));
@@ -52,6 +52,7 @@ function run() {
   const url = new URL(location.pathname.replace("/operate/", "/operating/"), location.href);
   url.protocol = location.protocol === "https:" ? "wss:" : "ws:";
   const connection = new Connection(url.href, hear, receive, fault);
+  open.connection = connection;
   let isReady = false;
   let keysAreOn = kept("keys") !== "off";
   /** @type {readonly Tool[]} */
@@ -241,6 +242,7 @@ function run() {
   let lettingGo = -1;
   const actions = {
     undo: () => {
+      if (!isReady) return;
       forget();
       notice("", [{ place: "", message: say("operate_undone") }]);
       ask({ do: "undo" });

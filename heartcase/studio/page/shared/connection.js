@@ -80,6 +80,8 @@ export function waitMs(tries) {
 export class Connection {
   /** A stranger is who the server no longer knows: it was started anew, with another key. Silent is a server that does not answer. @type {Signal<State>} */
   state = new Signal(/** @type {State} */ ("connecting"));
+  /** How long a server that is watched may say nothing before it is silent, ms. */
+  silentMs = SILENT_MS;
   /** Requests that change the recipe and have no answer yet. @type {Signal<number>} */
   changing = new Signal(0);
   /** @type {WebSocket | null} */
@@ -139,7 +141,7 @@ export class Connection {
     // a page that slept, or was busy, has what came meanwhile still to take
     if (now - this.#lookedMs > 3 * LOOK_MS) this.#heardMs = Math.max(this.#heardMs, now);
     this.#lookedMs = now;
-    if (this.state.value === "open" && now - this.#heardMs > SILENT_MS) this.state.value = "silent";
+    if (this.state.value === "open" && now - this.#heardMs > this.silentMs) this.state.value = "silent";
   }
 
   #hears() {
