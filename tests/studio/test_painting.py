@@ -2,7 +2,6 @@
 
 import errno
 import json
-import threading
 import time
 
 import numpy as np
@@ -16,6 +15,8 @@ from heartcase.pipeline.building.recipe_history import RecipeHistory
 from heartcase.pipeline.building.session_file import open_session
 from heartcase.schemas.recipe.recipe import load_recipe
 from heartcase.studio.messages import labels_message, scan_message
+from heartcase.studio.painting import painting
+from heartcase.studio.painting.workplace import Workplace
 from tests.studio.talking import Talker, page, studio, write_recipe
 
 
@@ -182,10 +183,11 @@ def test_every_act_on_a_recipe_that_another_program_changed_opens_it_again(recip
         for one in (talker, other):
             np.testing.assert_array_equal(one.labels, shown_from_scratch(path))
         assert path.read_text() == changed
-        # without a stroke under way, it is opened again too
+        # without a stroke under way, it is opened again too, and all are told
         path.write_text(path.read_text().replace('"changed"', '"again"'))
         (problem,) = talker.ask(**act)["problems"]
         assert "it was opened again, so look before you go on" in problem["message"]
+        assert other.hear("refused") == {"kind": "refused", "id": None, "problems": [problem]}
         assert talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])["kind"] == "done"
         assert talker.ask(do="end")["saved"]
         assert load_recipe(path).name == "again"
@@ -205,23 +207,75 @@ def test_a_recipe_that_was_changed_before_it_is_looked_at_is_read_again(recipe):
             path.write_text(path.read_text().replace('"changed"', '"again"'))
             with page(browser) as other:
                 assert other.opened["name"] == "again"
-            talker.hear("opened")
+                # who loads the page sees it as it is now; who had it open is told
+                other.ask(do="lock", label="aorta", locked=False)
+                assert not [one for one in other.told if one["kind"] == "refused"]
+            assert "so look before you go on" in talker.hear("refused")["problems"][0]["message"]
+            assert [one["name"] for one in talker.told if one["kind"] == "opened"][-1] == "again"
 
 
-def test_a_recipe_that_is_being_written_is_waited_for(recipe):
+def test_a_recipe_that_is_being_written_is_waited_for(recipe, monkeypatch):
     """An editor empties the file before it writes it."""
     path, middle = recipe
     with studio(path) as browser, page(browser) as talker:
         whole = path.read_text().replace('"painted"', '"changed"')
         path.write_text("")
-        writer = threading.Timer(0.1, lambda: path.write_text(whole))
-        writer.start()
+        looks, look = [], Workplace._text
+
+        def written_at_the_second_look(self):
+            looks.append(path.read_text())
+            if len(looks) == 2:
+                path.write_text(whole)
+            return look(self)
+
+        monkeypatch.setattr(Workplace, "_text", written_at_the_second_look)
         refused = talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
-        writer.join()
+        assert looks == ["", "", whole, whole]
         assert "it was opened again, so look before you go on" in refused["problems"][0]["message"]
         assert [one["name"] for one in talker.told if one["kind"] == "opened"][-1] == "changed"
         assert not [one for one in talker.told if one["kind"] == "failed"]
         assert talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])["kind"] == "done"
+
+
+def test_a_recipe_that_changes_while_it_is_opened_is_read_once_more(recipe, monkeypatch):
+    """What is shown would be of the old text, and what can be taken back of the new one."""
+    path, middle = recipe
+    with studio(path) as browser:
+        with page(browser) as talker:
+            talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+            talker.ask(do="end")
+        whole, real = path.read_text(), painting.open_history
+        without = whole.partition("# Painted in a session.")[0]
+
+        def changed_before(path, **options):
+            if path.read_text() != without:
+                path.write_text(without)
+            return real(path, **options)
+
+        monkeypatch.setattr(painting, "open_history", changed_before)
+        path.write_text(whole + "# by hand\n")
+        with page(browser) as talker:
+            assert (talker.opened["saved"], talker.opened["undo_count"]) == (True, 0)
+            np.testing.assert_array_equal(talker.labels, shown_from_scratch(path))
+            talker.ask(do="lock", label="aorta", locked=True)
+            assert path.read_text() == without
+            assert talker.ask(do="undo")["kind"] == "refused"
+
+
+def test_a_recipe_that_goes_on_changing_says_so(recipe, monkeypatch):
+    path, middle = recipe
+    with studio(path) as browser, page(browser) as talker:
+        real = painting.open_history
+
+        def always_changed(path, **options):
+            path.write_text(path.read_text() + "#\n")
+            return real(path, **options)
+
+        monkeypatch.setattr(painting, "open_history", always_changed)
+        path.write_text(path.read_text() + "# by hand\n")
+        talker.ask(do="paint", label="aorta", radius_mm=1.0, points_mm=[middle])
+        (failed,) = [one for one in talker.told if one["kind"] == "failed"]
+        assert "another program goes on changing it" in failed["problems"][-1]["message"]
 
 
 @pytest.mark.parametrize("has_stroke", [False, True])

@@ -58,6 +58,8 @@ class Workplace:
         self._recipe = recipe
         self._out = out
         self._painting: Painting | None = None
+        self._has_lost = False
+        self._is_closed = False
         self._pages: set[Page] = set()
         self._waiting: set[Page] = set()
         self._turn = asyncio.Lock()
@@ -85,8 +87,11 @@ class Workplace:
                 # Progress of opening is for all who wait for it.
                 self._pages.add(page)
                 self._idle.end()
-                if self._painting is None or await self._reopened(self._painting) is None:
+                if self._painting is None or await self._reopened(self._painting, joins=page) is None:
                     await self._show_all((page,))
+                if self._has_lost:
+                    page.send(text_message("refused", id=None, problems=problems_of(_changed(is_lost=True))))
+                    self._has_lost = False
 
     async def leave(self, page: Page) -> None:
         """Forget a page; its stroke ends where it is."""
@@ -113,6 +118,7 @@ class Workplace:
                 # what cannot be saved stays, unless it never can
                 if not await self._run(lambda: painting.is_stale):
                     return
+                self._has_lost = not painting.is_saved
             self._painting = None
 
     async def ask(self, page: Page, text: str) -> None:
@@ -205,7 +211,7 @@ class Workplace:
 
     async def _for_draft(self) -> Painting:
         painting = self._painting
-        if painting is None:
+        if painting is None or self._is_closed:
             raise RecipeError("it is not open", place="recipe")
         if (changed := await self._reopened(painting)) is not None:
             raise changed
@@ -213,6 +219,7 @@ class Workplace:
 
     async def close(self) -> None:
         """End: a stroke that is not saved yet is saved."""
+        self._is_closed = True
         self._waiting.clear()
         self._idle.close()
         async with self._turn:
@@ -224,7 +231,8 @@ class Workplace:
             await self.leave(page)
             page.close()
         self._thread.shutdown()
-        self._aside.shutdown(cancel_futures=True)
+        # a draft that is being read holds nothing else up
+        await asyncio.to_thread(self._aside.shutdown, cancel_futures=True)
 
     async def _show_all(self, pages: tuple[Page, ...], *, if_spoilt: RecipeError | None = None) -> None:
         """Show pages everything; where it cannot be opened, why, after what is to be said of it first."""
@@ -243,19 +251,22 @@ class Workplace:
         """Open the recipe; one that another program is writing is waited for."""
         loop = asyncio.get_running_loop()
         listener = _Progress(lambda message: loop.call_soon_threadsafe(self._tell, message))
-        tries = 1
-        while True:
-            text = await self._run(self._text)
+        for _ in range(_TRIES):
+            before = await self._run(self._text)
             try:
                 painting = await self._run(lambda: open_painting(self._recipe, out=self._out, listener=listener))
             except Exception:
                 await asyncio.sleep(_WRITING_S)
-                if tries == _TRIES or await self._run(self._text) == text:
+                if await self._run(self._text) == before:
                     raise
-                tries += 1
-            else:
+                continue
+            # What is shown and what can be taken back must be of one text.
+            if await self._run(self._text) == before:
                 self._painting = painting
                 return painting
+        raise RecipeError(
+            "another program goes on changing it: let that end, then load this page again", place="recipe"
+        )
 
     def _text(self) -> bytes | None:
         try:
@@ -263,8 +274,10 @@ class Workplace:
         except OSError:
             return None
 
-    async def _reopened(self, painting: Painting, *, but: Page | None = None) -> RecipeError | None:
-        """Open a recipe again that another program changed; all pages are told of a stroke that is lost by it.
+    async def _reopened(
+        self, painting: Painting, *, but: Page | None = None, joins: Page | None = None
+    ) -> RecipeError | None:
+        """Open a recipe again that another program changed; all pages are told, also of a stroke that is lost by it.
 
         Parameters
         ----------
@@ -272,6 +285,8 @@ class Workplace:
             The recipe, as it is open.
         but
             A page that is told what is returned.
+        joins
+            A page that has not shown it yet: it is told of a lost stroke alone.
 
         Returns
         -------
@@ -285,8 +300,8 @@ class Workplace:
         if not await self._open_again(if_spoilt=spoilt):
             # all pages have been told
             return spoilt
-        error = RecipeError(_CHANGED_AND_LOST if is_lost else _CHANGED, place="recipe")
-        for page in self._pages - {but} if is_lost else ():
+        error = _changed(is_lost=is_lost)
+        for page in self._pages - ({but} if is_lost else {but, joins}):
             page.send(text_message("refused", id=None, problems=problems_of(error)))
         return error
 
@@ -319,6 +334,10 @@ class Workplace:
     def _tell(self, message: str) -> None:
         for page in self._pages:
             page.send(message)
+
+
+def _changed(*, is_lost: bool) -> RecipeError:
+    return RecipeError(_CHANGED_AND_LOST if is_lost else _CHANGED, place="recipe")
 
 
 class _Progress:
