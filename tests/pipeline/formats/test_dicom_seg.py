@@ -1,6 +1,7 @@
 """DICOM segmentations written by highdicom are read, and ours are read by highdicom."""
 
 import warnings
+import zlib
 from io import BytesIO
 
 import highdicom
@@ -379,5 +380,17 @@ def test_a_file_that_is_packed_as_a_whole_is_not_unpacked_beyond_what_may_be_rea
     seg.save_as(file)
     np.testing.assert_array_equal(read_dicom_seg(file).values, read_dicom_seg(wanted).values)
     monkeypatch.setattr(dicom_seg, "_HEADERS_MOST", 1000)
+    with at_most(1000, "too many"), pytest.raises(MarkerError, match="too many"):
+        read_labels(file)
+    # the stated length of the file meta information counts for nothing, as for a reader
+    content = file.read_bytes()
+    for length in (0, len(content) - 144):
+        stated = length.to_bytes(4, "little")
+        file.write_bytes(content[:140] + stated + content[144:] + zlib.compress(b"", wbits=-15))
+        with at_most(1000, "too many"), pytest.raises(MarkerError, match="too many"):
+            read_labels(file)
+    # nor need it be there
+    file.write_bytes(content[:132] + content[144:])
+    np.testing.assert_array_equal(read_dicom_seg(file).values, read_dicom_seg(wanted).values)
     with at_most(1000, "too many"), pytest.raises(MarkerError, match="too many"):
         read_labels(file)

@@ -8,7 +8,6 @@ list: their labels may name a patient.
 
 from __future__ import annotations
 
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,9 +18,9 @@ import numpy as np
 import pydicom
 from pydicom.pixels import iter_pixels
 from pydicom.sr.coding import Code
-from pydicom.uid import DeflatedExplicitVRLittleEndian
 
 from heartcase.pipeline.formats.dicom.headers import is_dicom, quiet_pydicom
+from heartcase.pipeline.formats.dicom.tags import check_deflated
 from heartcase.pipeline.formats.labels.segments import (
     LabelVolume,
     SegmentInfo,
@@ -50,8 +49,6 @@ SAME_PLACE_PART = 0.01
 SLICE_TOLERANCE = 0.1
 """How far a plane may lie from a slice of the scan, in slice spacings: a scan's own slices are evened out when read."""
 FRAME_LIMIT = 100_000
-_META_START = 144
-"""Bytes before what the group length counts: preamble, prefix, and the group length itself."""
 _HEADERS_MOST = 2**26
 """Bytes that all but the values may take in a file that is packed as a whole."""
 
@@ -145,7 +142,8 @@ def _read(
     left_out: Callable[[SegmentInfo], bool],
     rank: Callable[[SegmentInfo], int],
 ) -> LabelVolume:
-    _check_deflated(file)
+    with file.open("rb") as stream:
+        check_deflated(stream, _allow)
     dataset = pydicom.dcmread(file, force=True)
     if str(dataset.get("SOPClassUID", "")) not in SEG_CLASSES:
         raise MarkerError("the DICOM file is no segmentation (SEG): is it a slice of the scan? Export a DICOM SEG")
@@ -196,20 +194,9 @@ def _read(
     return LabelVolume(values, geometry, segments, vanished, overlaps=stacking.overlaps(overlaps))
 
 
-def _check_deflated(file: Path) -> None:
-    """Refuse a file that is packed as a whole, and holds more bytes than the values that may be read could take."""
-    try:
-        meta = pydicom.filereader.read_file_meta_info(file)
-    except Exception:  # what is wrong with it is said when all of it is read
-        return
-    if meta.get("TransferSyntaxUID") != DeflatedExplicitVRLittleEndian:
-        return
-    stream, total = zlib.decompressobj(-zlib.MAX_WBITS), 0
-    with file.open("rb") as packed:
-        packed.seek(_META_START + int(meta.FileMetaInformationGroupLength))
-        while not stream.eof and (chunk := packed.read(2**16)):
-            total += len(stream.decompress(chunk))
-            check_size((max(total - _HEADERS_MOST, 1), 1, 1))
+def _allow(size: int) -> None:
+    """Refuse more bytes than the values that may be read could take."""
+    check_size((max(size - _HEADERS_MOST, 1), 1, 1))
 
 
 def _frames(dataset: Any, is_map: bool) -> list[_Frame]:
