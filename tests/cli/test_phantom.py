@@ -1,5 +1,6 @@
 import io
 import json
+from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 from pydicom import dcmread
 from rich.console import Console
 
+from heartcase.cli.commands import phantom
 from heartcase.cli.commands.phantom import command
 from heartcase.cli.main import main
 from heartcase.cli.shared.step_bar import StepBar
@@ -26,6 +28,21 @@ def run(*arguments):
     result = CliRunner().invoke(command, [str(a) for a in arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.stdout
+
+
+def test_says_that_kernels_are_compiled_while_it_makes_the_scan(tmp_path, monkeypatch):
+    told = []
+
+    @contextmanager
+    def listening(console):
+        told.append("begun")
+        yield
+        told.append("ended")
+
+    monkeypatch.setattr(phantom, "compiling_told", listening)
+    monkeypatch.setattr(HeartPhantom, "prepare", lambda self, _: told.append("made"))
+    run(tmp_path / "phantom", "--size", "child", "--spacing", "4", "--scan-only")
+    assert told == ["begun", "made", "ended"]
 
 
 def test_writes_scan_truth_and_recipe(tmp_path):

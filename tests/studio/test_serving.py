@@ -2,6 +2,7 @@
 
 import asyncio
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -44,10 +45,12 @@ def test_it_serves_this_machine_until_it_is_ended(tmp_path, ending, monkeypatch)
 
 def test_for_a_scan_a_recipe_is_written_that_marks_nothing(tmp_path, monkeypatch, capsys):
     served = []
-    monkeypatch.setattr("heartcase.studio.serving.serve.serve", lambda recipe, **_: served.append(recipe) or Left())
+    serve = lambda recipe, out, **_: served.append((recipe, out)) or Left()  # noqa: E731
+    monkeypatch.setattr("heartcase.studio.serving.serve.serve", serve)
     scan, recipe = write_scan(tmp_path / "scan.nii.gz"), tmp_path / "mine.toml"
     assert main(["studio", str(scan), "--recipe", str(recipe), "--no-browser"]) == 0
-    assert served == [recipe]
+    # beside it, though another of its name may have been built elsewhere
+    assert served == [(recipe, tmp_path)]
     session = open_session(recipe, out=tmp_path / "out", resumes=True).session
     assert (session.labels == 255).all()
     assert session.strokes == ()
@@ -100,6 +103,21 @@ def test_recordings_that_came_while_a_case_was_open_are_known(tmp_path):
     registry.open_recipe(tmp_path / "a.toml", out=tmp_path)
     asyncio.run(registry.close())
     assert registry.left() == Left(1, 3, (tmp_path / "new.recording",))
+
+
+def test_a_recording_under_another_name_did_not_come(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("one", "other"):
+        (tmp_path / f"{name}.recording").mkdir()
+        (tmp_path / f"{name}.recording" / "recording.json").write_text(name)
+    registry = Registry("token")
+    # one folder, spelled in two ways
+    registry.open_case(Path("a.case"))
+    registry.open_case(tmp_path / "b.case")
+    (tmp_path / "one.recording").rename(tmp_path / "again.recording")
+    shutil.copytree(tmp_path / "other.recording", tmp_path / "new.recording")
+    assert registry.left() == Left(0, 2, (tmp_path / "new.recording",))
+    asyncio.run(registry.close())
 
 
 def test_what_it_cannot_open_is_said_in_one_line(tmp_path, capsys, monkeypatch):

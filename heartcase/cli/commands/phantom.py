@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from heartcase.cli.shared.output import error_console
+from heartcase.cli.shared.output import compiling_told, error_console
 from heartcase.cli.shared.output_path import OutputPath
 from heartcase.cli.shared.step_bar import StepBar
 from heartcase.schemas.errors import UsageError
@@ -138,7 +138,7 @@ def command(
     console = error_console()
     console.print(f"Making a scan of the {size} phantom")
     bar = StepBar(console)
-    with bar.progress:
+    with bar.progress, compiling_told(console):
         phantom = HeartPhantom.of_size(size)
         with bar.step("building the heart") as told:
             phantom.prepare(told)

@@ -53,6 +53,10 @@ def command(
     from heartcase.studio.serving.serve import serve
 
     opening = {} if path is None else _opening(path, recipe, choice)
+    written = None if opening.get("recipe") == path else opening.get("recipe")
+    if written is not None and out is None:
+        # another recipe may have had its name, and have been built elsewhere
+        out = written.resolve().parent
 
     def ready(address: str) -> None:
         click.echo(f"The studio is at  {address}\nCtrl-C ends it.")
@@ -60,7 +64,8 @@ def command(
             webbrowser.open(address)
 
     def noted(note: str) -> None:
-        click.echo(f"note: {note}", err=True)
+        if written is None:
+            click.echo(f"note: {note}", err=True)
 
     left = serve(**opening, out=out, port=port, ready=ready, noted=noted)
     click.echo(f"The studio is closed{_LEFT[min(left.recipe_count, 2)]}.")

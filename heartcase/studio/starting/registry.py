@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from heartcase.schemas.recording.header import HEADER_NAME
 from heartcase.studio.building.building import Building
 from heartcase.studio.offline.exported import fitting_page_of
 from heartcase.studio.operating.theatre import Origin, Theatre
@@ -65,7 +66,7 @@ class Registry:
         self._token = token
         self._opened: dict[str, Opened] = {}
         self._keys: dict[str, set[str]] = {"prepare": set(), "operate": set()}
-        self._there: dict[Path, set[Path]] = {}
+        self._there: dict[Path, dict[Path, str]] = {}
 
     def open_recipe(self, path: Path, *, out: Path) -> Opened:
         """Open a recipe, or find it where it is open.
@@ -101,7 +102,7 @@ class Registry:
         key = self._key("operate", path)
         if key not in self._opened:
             folder = path.parent if out is None else out
-            self._there.setdefault(folder, set(_recordings(folder)))
+            self._there.setdefault(folder.resolve(), _recordings(folder.resolve()))
             self._keys["operate"].add(key)
             # a second session on it, for two recordings side by side: it is begun when a page asks for it
             places = {name: Theatre(path, out=folder, page_of=fitting_page_of) for name in ("operating", "beside")}
@@ -123,7 +124,12 @@ class Registry:
 
     def left(self) -> Left:
         """What was opened so far, and the recordings that have come since into the folders of the cases."""
-        new = [path for folder, before in self._there.items() for path in _recordings(folder) if path not in before]
+        new: list[Path] = []
+        for folder, before in self._there.items():
+            now = _recordings(folder)
+            # one that was there may have another name now
+            renamed = {key for path, key in before.items() if path not in now}
+            new += [path for path, key in now.items() if path not in before and key not in renamed]
         return Left(len(self._keys["prepare"]), len(self._keys["operate"]), tuple(sorted(new)))
 
     async def close(self) -> None:
@@ -139,8 +145,17 @@ class Registry:
         return base64.urlsafe_b64encode(made).decode()[:_KEY_LENGTH]
 
 
-def _recordings(folder: Path) -> list[Path]:
+def _recordings(folder: Path) -> dict[Path, str]:
+    """The recordings in a folder, and what tells whether one is the same under another name."""
     try:
-        return [path for path in folder.iterdir() if path.suffix == ".recording"]
+        paths = [path for path in folder.iterdir() if path.suffix == ".recording"]
     except OSError:
-        return []
+        return {}
+    return {path: _key_of(path) for path in paths}
+
+
+def _key_of(recording: Path) -> str:
+    try:
+        return hashlib.sha256((recording / HEADER_NAME).read_bytes()).hexdigest()
+    except OSError:
+        return recording.name
