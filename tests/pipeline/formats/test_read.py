@@ -113,6 +113,17 @@ def test_same_segmentation_gives_same_bytes(tmp_path: Path, suffix: str) -> None
     np.testing.assert_array_equal(read_labels(tmp_path / f"a{suffix}").values, labels)
 
 
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+def test_nifti_says_what_are_labels_and_a_scan_does_not(tmp_path: Path, suffix: str) -> None:
+    labels = (np.arange(120) % 10).astype(np.uint8).reshape(OBLIQUE_LEFT_HANDED.shape)
+    write_segmentation(Segmentation(labels, OBLIQUE_LEFT_HANDED, default_label_table()), tmp_path / f"labels{suffix}")
+    write_scan(Scan(labels.astype(np.float32), OBLIQUE_LEFT_HANDED, "CT"), tmp_path / f"scan{suffix}")
+    written, scan = (nibabel.load(tmp_path / f"{name}{suffix}") for name in ("labels", "scan"))
+    assert written.header.get_intent()[0] == "label"
+    np.testing.assert_array_equal(np.asarray(written.dataobj).T, labels)
+    assert scan.header.get_intent()[0] == "none"
+
+
 def test_segment_table_is_what_slicer_reads(tmp_path: Path) -> None:
     labels = np.zeros(OBLIQUE_LEFT_HANDED.shape, np.uint8)
     labels[1:3, 2:5, 4] = 5
