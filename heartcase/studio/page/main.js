@@ -225,8 +225,7 @@ function run() {
   function fault(error) {
     if (error instanceof Lost) return;
     if (error instanceof Refused) {
-      // a page that has ended says why already
-      if (connection.state.value !== "ended") status.refused(error.problems);
+      status.refused(error.problems);
       return;
     }
     connection.end();

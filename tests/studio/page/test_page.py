@@ -488,6 +488,39 @@ def test_a_recipe_that_cannot_be_opened_says_why(chromium, painted):
     context.close()
 
 
+def test_a_page_that_has_ended_stays_as_it_is_and_others_go_on(chromium, painted):
+    server, path, affine = painted
+    middle = mm_of(MIDDLE, affine)[0]
+    workplace = server.opened.places["socket"]
+    with browsing(chromium, server) as one, browsing(chromium, server) as other:
+        look_at(one, middle, affine)
+        whole = path.read_text()
+        path.write_text(whole.replace("scan.nii.gz", "another.nii.gz"))
+        stroke(one, "axial", [middle, off(middle, 2.0, 0, 0)], affine)
+        for page in (one, other):
+            page.tab.locator("#curtain-words strong").wait_for(timeout=60_000)
+            assert "another program changed the recipe" in page.text("#curtain-words")
+            assert not page.tab.locator("#notice").is_visible()
+        why = other.text("#curtain-words")
+        # the server has dropped both: nothing that comes later reaches them
+        until(lambda: not workplace._pages)
+        path.write_text(whole)
+        one.tab.reload()
+        one.ready()
+        look_at(one, middle, affine)
+        stroke(one, "axial", [middle, off(middle, 2.0, 0, 0)], affine)
+        one.saved(1)
+        other.drawn()
+        assert other.text("#curtain-words") == why
+        assert other.tab.locator("#curtain-bar").is_hidden()
+        assert other.tab.locator("body").get_attribute("data-ready") == "false"
+        assert other.text("#saved") == "Not connected"
+        # whoever has it loaded again goes on as well
+        other.tab.reload()
+        other.ready()
+        other.saved(1)
+
+
 def test_a_server_that_is_gone_and_comes_back(chromium, painted):
     server, path, affine = painted
     middle = mm_of(MIDDLE, affine)[0]

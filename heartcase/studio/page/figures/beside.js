@@ -87,7 +87,7 @@ export class Beside {
   }
 
   close() {
-    this.#connection?.leave();
+    this.#connection?.end();
     this.#connection = null;
     this.#isReady = false;
     this.header = null;

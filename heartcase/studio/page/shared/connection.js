@@ -92,6 +92,8 @@ export class Connection {
   #lookedMs = -Infinity;
   /** @type {ReturnType<typeof setInterval> | undefined} */
   #watch;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  #retry;
   /** @type {Promise<void>} */
   #queue = Promise.resolve();
   /** @type {Map<number, {changes: boolean, resolve: (answer: Message) => void, reject: (error: Error) => void}>} */
@@ -117,6 +119,7 @@ export class Connection {
     /** Each socket has a queue of its own: what an old one sent late is not applied. */
     this.#queue = Promise.resolve();
     socket.addEventListener("open", () => {
+      if (socket !== this.#socket) return;
       this.#tries = 0;
       this.#heardMs = performance.now();
       this.state.value = "open";
@@ -149,16 +152,21 @@ export class Connection {
     if (this.state.value === "silent") this.state.value = "open";
   }
 
-  /** No more tries: the server said that it cannot go on. */
+  /** Nothing more is wanted of the server, or it said that it cannot go on: it is left, and what it still sends is not taken. */
   end() {
     clearInterval(this.#watch);
+    clearTimeout(this.#retry);
     this.state.value = "ended";
+    this.#socket?.close();
+    this.#detach();
   }
 
-  /** No more is wanted of the server. */
-  leave() {
-    this.end();
-    this.#socket?.close();
+  /** There is no line any more, and no answer to what was asked. */
+  #detach() {
+    this.#socket = null;
+    for (const { reject } of this.#requests.values()) reject(new Lost());
+    this.#requests.clear();
+    this.#count();
   }
 
   /**
@@ -213,15 +221,11 @@ export class Connection {
   /** @param {WebSocket} socket */
   #closed(socket) {
     if (socket !== this.#socket) return;
-    this.#socket = null;
-    for (const { reject } of this.#requests.values()) reject(new Lost());
-    this.#requests.clear();
-    this.#count();
-    if (this.state.value === "ended") return;
+    this.#detach();
     if (this.state.value !== "stranger") this.state.value = "lost";
     if (this.#tries > 0) this.#askWhetherKnown();
     // A stranger goes on trying too: another tab may be given the key.
-    setTimeout(() => this.open(), waitMs(this.#tries++));
+    this.#retry = setTimeout(() => this.open(), waitMs(this.#tries++));
   }
 
   /** A socket does not say why it was refused; the page itself does. */

@@ -78,9 +78,10 @@ export class Status {
     const state = connection.state.value;
     const isLost = state === "lost" || state === "stranger";
     tellLost(state, isLost ? say(state) : "");
+    const isGone = isLost || state === "ended";
     const isSaved = studio.ready.value && studio.saved.value && connection.changing.value === 0;
-    saved.textContent = isLost ? say("state_lost") : !studio.ready.value ? say("state_opening") : !isSaved ? say("saving") : studio.spreads.value ? say("spreading") : say("saved");
-    saved.dataset.state = isLost ? "lost" : isSaved ? "saved" : "saving";
+    saved.textContent = isGone ? say("state_lost") : !studio.ready.value ? say("state_opening") : !isSaved ? say("saving") : studio.spreads.value ? say("spreading") : say("saved");
+    saved.dataset.state = isGone ? "lost" : isSaved ? "saved" : "saving";
   }
 
   #tellPointer() {
