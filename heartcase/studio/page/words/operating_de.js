@@ -60,7 +60,7 @@ export const operating = {
   recording_opening: "Die Aufnahme {name} wird geöffnet …",
   save_page: "Als Webseite speichern",
   save_page_says: "Eine Datei, die jeder Browser ohne heartcase öffnet, zum Weitergeben: das Modell, Schnittebenen, geführte Touren und die angekreuzten Aufnahmen.",
-  save_page_packing: "Die Seite wird gespeichert: Das Modell wird gelesen und verpackt, das dauert etwa 20 s …",
+  save_page_packing: "Die Seite wird gespeichert: Das Modell wird gelesen und verpackt, das dauert eine Weile …",
   save_page_working: "Die Seite wird gespeichert: Dafür werden Aufnahmen abgespielt … {percent} %",
   save_page_saved: "{name}, {mb} MB, liegt bei den Aufnahmen, im Ordner {folder}.",
   save_page_failed: "Die Seite wurde nicht gespeichert.",

@@ -60,7 +60,7 @@ export const operating = {
   recording_opening: "Opening the recording {name} …",
   save_page: "Save as a web page",
   save_page_says: "One file that any browser opens without heartcase, to hand on: the model, planes that cut it open, guided tours, and the recordings that are ticked.",
-  save_page_packing: "Saving the page: the model is read and packed, which takes some 20 s …",
+  save_page_packing: "Saving the page: the model is read and packed, which takes a while …",
   save_page_working: "Saving the page: recordings are played through for it … {percent} %",
   save_page_saved: "{name}, {mb} MB, lies beside the recordings, in the folder {folder}.",
   save_page_failed: "The page was not saved.",
