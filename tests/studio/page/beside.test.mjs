@@ -37,7 +37,7 @@ const picture = { heart, tools: { show: () => true }, camera: {}, redraw: () => 
 let main;
 /** @type {any[]} */
 let asked;
-/** @type {string[]} */
+/** Name, place and message of each. @type {[string, string, string][]} */
 let told;
 /** @type {any} */
 let beside;
@@ -70,7 +70,7 @@ beforeEach(() => {
   [main, asked, told] = [null, [], []];
   beside = new Beside({ drawn: [] }, {
     askMain: (request) => asked.push(request), painted: () => [[], new Set()], mainHeader: () => main, shown: () => {},
-    told: (title, { message }) => told.push(`${title}: ${message}`), failed: (error) => assert.fail(error),
+    told: ({ name, place, message }) => told.push([name, place, message]), failed: (error) => assert.fail(error),
   }, () => picture);
 });
 
@@ -126,7 +126,13 @@ test("after the line was lost the recording is played again where another sessio
   await opened();
   await frame({ mode: "running", time_s: 0.1, end_s: 0.1 });
   assert.deepEqual(wanted(), [{ do: "replay", name: "b.recording", speed: 1 }]);
-  assert.deepEqual(told, ["b: it was closed"]);
+  assert.deepEqual(told, [["b", "", "it was closed"]]);
+});
+
+test("what is told beside keeps what it is about, after the recording's name", async () => {
+  await mainWaits();
+  await said({ kind: "message", text: "hand 1: it slipped", place: "hand 1", message: "it slipped" });
+  assert.deepEqual(told, [["b", "hand 1", "it slipped"]]);
 });
 
 test("a recording that is chosen while there is no line is played when there is one", async () => {

@@ -17,6 +17,8 @@ const SAME_S = 1e-6;
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+/** What is written of a recording. @param {string} name */
+const titleOf = (name) => name.replace(/\.recording$/, "");
 
 export class Beside {
   /** @type {Picture | null} */
@@ -42,7 +44,7 @@ export class Beside {
    * @param {Picture} main
    * @param {{askMain: (request: Record<string, unknown> & {do: string}) => void, painted: () => [readonly Painted[], Set<number>],
    *   mainHeader: () => Record<string, any> | null, shown: () => void,
-   *   told: (title: string, said: import("../shared/connection.js").Problem) => void, failed: (error: unknown) => void}} does `shown` is told when time or mode here changed
+   *   told: (said: import("../shared/connection.js").Problem) => void, failed: (error: unknown) => void}} does `shown` is told when time or mode here changed
    * @param {(canvas: HTMLCanvasElement) => Picture} makePicture
    */
   constructor(main, does, makePicture = (canvas) => new Picture(canvas)) {
@@ -64,8 +66,8 @@ export class Beside {
     this.#stands = false;
     find("beside").hidden = false;
     find("theatre").dataset.beside = "true";
-    find("main-title").textContent = mainName.replace(/\.recording$/, "");
-    find("beside-title").textContent = name.replace(/\.recording$/, "");
+    find("main-title").textContent = titleOf(mainName);
+    find("beside-title").textContent = titleOf(name);
     find("main-title").hidden = false;
     this.#isDue = true;
     if (this.#connection !== null) {
@@ -173,7 +175,7 @@ export class Beside {
     const name = this.#name;
     this.#ask({ do: "replay", name, speed: this.speed }, ({ cut_short_s: seconds }) => {
       if (name === this.#name) this.#isDue = false;
-      if (seconds !== undefined) this.does.told(name.replace(/\.recording$/, ""), { place: "", message: say("recording_cut_short", { seconds: figure(seconds, 1) }) });
+      if (seconds !== undefined) this.does.told({ name: titleOf(name), place: "", message: say("recording_cut_short", { seconds: figure(seconds, 1) }) });
     });
   }
 
@@ -200,7 +202,7 @@ export class Beside {
       if (this.#isDue) this.#replay();
       else this.#isDoubted = true;
     } else if (message.kind === "message") {
-      this.does.told(this.#name.replace(/\.recording$/, ""), /** @type {any} */ (message));
+      this.does.told({ .../** @type {any} */ (message), name: titleOf(this.#name) });
     } else if (message.kind === "failed") {
       find("beside-time").textContent = (message.problems ?? []).map(saidOf).join("; ");
     }

@@ -4,6 +4,7 @@ import { problemList } from "../shared/elements.js";
 import { figure, language, say } from "../shared/words.js";
 
 /** @typedef {import("../shared/connection.js").Message} Message */
+/** @typedef {import("../shared/connection.js").Problem} Problem */
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
@@ -41,6 +42,8 @@ export class SavedPage {
     const said = state === "working" ? isCounted ? say("save_page_working", { percent: figure(100 * fraction, 0) }) : say("save_page_packing")
       : state === "saved" ? say("save_page_saved", { name, folder, mb: figure(byteCount / 1e6, 1) })
       : state === "failed" ? say("save_page_failed") : "";
-    find("save-page-state").replaceChildren(said, ...(problems?.length ? [problemList(problems)] : []));
+    // of a page that is saved they are about its recordings, by the names that users gave these
+    const about = state === "saved" ? problems.map((/** @type {Problem} */ one) => ({ ...one, name: one.place, place: "" })) : problems;
+    find("save-page-state").replaceChildren(said, ...(about?.length ? [problemList(about)] : []));
   }
 }

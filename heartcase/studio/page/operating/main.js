@@ -73,7 +73,7 @@ function run() {
     painted: () => [[...panel.structures, ...tissueInside], panel.hidden],
     mainHeader: () => open.header,
     shown: () => showTime(),
-    told: (title, said) => notice("", [{ ...said, place: title }]),
+    told: (said) => notice("", [said]),
     failed: fault,
   });
   const panel = new Panel({

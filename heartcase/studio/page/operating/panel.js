@@ -1,7 +1,7 @@
 /** The panel beside the heart: what is shown, what the instruments feel, recordings, keys. */
 
 import { element, icon } from "../shared/elements.js";
-import { placeOf } from "../shared/said.js";
+import { nameOf } from "../shared/said.js";
 import { figure, isWord, language, say, structureName } from "../shared/words.js";
 
 /** @typedef {import("../shared/words.js").Word} Word */
@@ -117,9 +117,9 @@ export class Panel {
     this.#toldAt = now;
     /** @type {[string, number, string][]} */
     const rows = [
-      ...header.instruments.map((/** @type {any} */ one) => [placeOf(one.name), Math.hypot(...one.force_n), ""]),
-      ...header.stitches.map((/** @type {any} */ one) => [placeOf(one.name), one.force_n, one.tied ? "" : say("operate_not_tied")]),
-      ...header.patches.map((/** @type {any} */ one) => [placeOf(one.name), one.force_n, say("operate_in_rim")]),
+      ...header.instruments.map((/** @type {any} */ one) => [nameOf(one.name), Math.hypot(...one.force_n), ""]),
+      ...header.stitches.map((/** @type {any} */ one) => [nameOf(one.name), one.force_n, one.tied ? "" : say("operate_not_tied")]),
+      ...header.patches.map((/** @type {any} */ one) => [nameOf(one.name), one.force_n, say("operate_in_rim")]),
     ];
     find("no-forces").hidden = rows.length > 0;
     find("forces").replaceChildren(

@@ -6,7 +6,7 @@
 import { Signal } from "./signal.js";
 
 /** @typedef {"connecting" | "open" | "silent" | "lost" | "stranger" | "ended"} State */
-/** @typedef {{place: string, message: string, code?: string, values?: Record<string, string>}} Problem */
+/** `name` is one that a user gave: it stands before the place, as it is. @typedef {{name?: string, place: string, message: string, code?: string, values?: Record<string, string>}} Problem */
 /** @typedef {Record<string, any> & {kind: string}} Message */
 /** @typedef {{header: Message, bytes: Uint8Array<ArrayBuffer>}} Package */
 

@@ -32,7 +32,9 @@ export function problemList(problems) {
   const list = element("ul", "problems");
   for (const problem of problems) {
     const row = element("li");
-    if (problem.place) row.append(element("span", "place", placeOf(problem.place)), document.createTextNode(": "));
+    for (const about of [problem.name, placeOf(problem.place)]) {
+      if (about) row.append(element("span", "place", about), document.createTextNode(": "));
+    }
     row.append(document.createTextNode(saidOf(problem)));
     list.append(row);
   }

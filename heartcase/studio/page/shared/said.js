@@ -8,19 +8,30 @@ import { language } from "./words.js";
 /** By language; English is what the server says. @type {Record<string, {messages: Record<string, string>, places: Record<string, string>}>} */
 const KNOWN = { de: { messages: german, places: germanPlaces } };
 
+/** @param {"messages" | "places"} table @param {string} key @returns {string | undefined} */
+function known(table, key) {
+  const words = KNOWN[language.value]?.[table] ?? {};
+  return Object.hasOwn(words, key) ? words[key] : undefined;
+}
+
 /** A message with its values put in: numbers with the language's marks. @param {Said} said */
 export function saidOf({ message, code, values }) {
-  const template = KNOWN[language.value]?.messages[code ?? ""];
+  const template = known("messages", code ?? "");
   if (template === undefined) return message;
   return template.replace(/\{(\w+)(#?)\}/g, (_, name, isNumber) => {
     const value = String(values?.[name] ?? "");
-    return isNumber ? value.replace(/[.,]/g, (mark) => (mark === "." ? "," : ".")) : name === "names" ? value.replace(/[a-z]+ \d+/g, placeOf) : value;
+    return isNumber ? value.replace(/[.,]/g, (mark) => (mark === "." ? "," : ".")) : name === "names" ? value.split(", ").map(nameOf).join(", ") : value;
   });
 }
 
-/** What a message is about, or an instrument's name: "hand 1". @param {string} place */
+/** What a message is about. @param {string} place */
 export function placeOf(place) {
-  const [, kind, number] = /^([a-z]+)( \d+)?$/.exec(place) ?? [];
-  const known = KNOWN[language.value]?.places[kind ?? ""];
-  return known === undefined ? place : `${known}${number ?? ""}`;
+  const [, kind, number] = /^([a-z]+)((?: \d+)*)$/.exec(place) ?? [];
+  const word = known("places", kind ?? "");
+  return word === undefined ? place : `${word}${number ?? ""}`;
+}
+
+/** What an instrument, stitch, row or patch is called: "hand 1", or "row 1 3" for the third stitch of a row. A name without a number is one that a user gave. @param {string} name */
+export function nameOf(name) {
+  return / \d+$/.test(name) ? placeOf(name) : name;
 }
