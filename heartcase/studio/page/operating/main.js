@@ -10,6 +10,7 @@ import { runTabs } from "../shared/tabs.js";
 import { element, problemList } from "../shared/elements.js";
 import { Connection, Lost, Refused } from "../shared/connection.js";
 import { handFocusOn } from "../shared/focus.js";
+import { nameOf } from "../shared/said.js";
 import { keep, kept } from "../shared/settings.js";
 import { figure, language, say, showNotice } from "../shared/words.js";
 import { SceneShower } from "../touring/scene.js";
@@ -496,7 +497,7 @@ function run() {
     if (before?.mode === "running" && header.mode === "running" && tied.length > tiedBefore) {
       const force = Math.max(...tied.map((/** @type {any} */ one) => one.force_n));
       const missed = tensionMissed(before?.stitches ?? [], tied);
-      const less = missed === null ? "" : ` ${say("operate_tied_less", { force: figure(missed.force, 2), asked: figure(missed.asked, 2) })}`;
+      const less = missed === null ? "" : ` ${say("operate_tied_less", { name: nameOf(missed.name), force: figure(missed.force, 2), asked: figure(missed.asked, 2) })}`;
       notice("", [{ place: "", message: say("operate_tied", { count: String(tied.length), force: figure(force, 2) }) + less }]);
     }
     const isOpen = isOpening && header.mode === "playing";

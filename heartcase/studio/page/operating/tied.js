@@ -6,17 +6,17 @@
 const TIED_PART = 0.9;
 
 /**
- * The tension, N, of those that were tied now, and the higher one that was asked for; null where it was reached.
- * @param {readonly Stitch[]} before @param {readonly Stitch[]} tied @returns {{force: number, asked: number} | null}
+ * Of the stitches that were tied now, the one with the least part of the tension, N, that was asked for; null where all reached it.
+ * @param {readonly Stitch[]} before @param {readonly Stitch[]} tied @returns {{name: string, force: number, asked: number} | null}
  */
 export function tensionMissed(before, tied) {
   const drawn = new Map(before.filter((one) => !one.tied && one.drawn_n !== null).map((one) => [one.name, one]));
-  let [force, asked] = [0, 0];
+  let worst = null;
   for (const { name, force_n: now } of tied) {
     const was = drawn.get(name);
     if (was === undefined) continue;
-    force = Math.max(force, now, was.force_n);
-    asked = Math.max(asked, was.drawn_n ?? 0);
+    const [force, asked] = [Math.max(now, was.force_n), was.drawn_n ?? 0];
+    if (force < TIED_PART * asked && (worst === null || force / asked < worst.force / worst.asked)) worst = { name, force, asked };
   }
-  return force < TIED_PART * asked ? { force, asked } : null;
+  return worst;
 }

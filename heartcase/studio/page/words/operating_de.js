@@ -54,7 +54,7 @@ export const operating = {
   branch_stitch_one: "1 Stich oder Stichreihe",
   branch_stitch_several: "{count} Stiche oder Stichreihen",
   operate_tied: "Geknotete Stiche: {count}. Der Faden zieht mit höchstens {force} N.",
-  operate_tied_less: "Gezogen mit {force} N statt {asked} N: Die Enden trafen sich vorher, oder der Faden ist so steif, wie der Zeitschritt zulässt. Weniger Zug wählen oder später knoten.",
+  operate_tied_less: "Am weitesten von der Vorgabe entfernt: {name}, gezogen mit {force} N statt {asked} N. Die Enden trafen sich vorher, oder der Faden ist so steif, wie der Zeitschritt zulässt. Weniger Zug wählen oder später knoten.",
   recording_cut_short: "Sie wurde abgebrochen: Gezeigt werden die ersten {seconds} s.",
   recording_is_cut_short: "abgebrochen",
   recording_opening: "Die Aufnahme {name} wird geöffnet …",

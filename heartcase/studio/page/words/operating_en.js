@@ -54,7 +54,7 @@ export const operating = {
   branch_stitch_one: "1 stitch or row",
   branch_stitch_several: "{count} stitches or rows",
   operate_tied: "Tied stitches: {count}. The thread pulls with {force} N at most.",
-  operate_tied_less: "Pulled with {force} N instead of {asked} N: its ends met first, or the thread is as stiff as the time step allows. Draw with less, or tie later.",
+  operate_tied_less: "Furthest from its tension: {name}, pulled with {force} N instead of {asked} N. Its ends met first, or the thread is as stiff as the time step allows. Draw with less, or tie later.",
   recording_cut_short: "It was cut short: the first {seconds} s are shown.",
   recording_is_cut_short: "cut short",
   recording_opening: "Opening the recording {name} …",
