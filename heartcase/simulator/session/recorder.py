@@ -43,13 +43,17 @@ STATE_EVERY_S = 1.0
 
 @dataclass(frozen=True)
 class _Written:
-    """The lines of the log that are whole on disk."""
+    """The lines of the log that are whole on disk, and what they say: replaced as one, whenever it is interrupted."""
 
     line_count: int
     size: int
     """Their bytes."""
     link: str
     """Of the last of them."""
+    end_step: int
+    """Step at which they end."""
+    state_count: int
+    """States that they name."""
 
 
 class Recorder:
@@ -112,11 +116,9 @@ class Recorder:
         self._session = session
         self._state_steps = max(1.0, state_every_s / session.simulation.step_s)
         self._state_step = start.state.step_count
-        self._state_count = 0
-        self._end_step = start.state.step_count
         self._is_stored = self._is_sealed = False
         self._header = _header(session.simulation, start, case, parent)
-        self._written = _Written(0, 0, header_hash(self._header))
+        self._written = _Written(0, 0, header_hash(self._header), start.state.step_count, 0)
         self.error: RecordingError | None = None
         self._failed: Callable[[RecordingError], None] | None = None
         self._log: BinaryIO | None = None
@@ -135,15 +137,14 @@ class Recorder:
     def append(self, entry: Entry) -> None:
         """Write down what was done."""
         with self._writing():
-            self._write(entry)
-        self._end_step = entry.end_step
+            self._write(entry, entry.end_step)
         self._is_stored = False
 
     def go_to(self, position: int) -> None:
         """Write down that the session went back, or on."""
         with self._writing():
-            self._write(GoToLine(to=position))
-        self._end_step = self._state_step = self._session.step_count
+            self._write(GoToLine(to=position), self._session.step_count)
+        self._state_step = self._session.step_count
         self._is_stored = False
 
     def keep(self, position: int, simulation: Simulation) -> None:
@@ -165,7 +166,7 @@ class Recorder:
     @property
     def seconds(self) -> float:
         """Simulated time from the session's start to where what is written ends, s."""
-        return (self._end_step - self._header.start_step) * self._header.step_s
+        return (self._written.end_step - self._header.start_step) * self._header.step_s
 
     def break_off(self) -> None:
         """Seal what was done by now where the session was interrupted in the middle of something.
@@ -177,8 +178,8 @@ class Recorder:
         with self._writing():
             self._close()
             os.truncate(self.path / LOG_NAME, self._written.size)
-            (self.path / _state_name(self._state_count)).unlink(missing_ok=True)
-            self._seal(self._end_step)
+            (self.path / _state_name(self._written.state_count)).unlink(missing_ok=True)
+            self._seal(self._written.end_step)
 
     def discard(self) -> None:
         """Stop, and leave nothing behind."""
@@ -246,21 +247,23 @@ class Recorder:
 
     def _store(self, snapshot: Snapshot) -> None:
         content = snapshot_bytes(snapshot)
-        name = _state_name(self._state_count)
+        name = _state_name(self._written.state_count)
         atomic_write(self.path / name, content)
         step = snapshot.state.step_count
-        self._write(StateLine(step=step, file=name, size=len(content), sha256=sha256(content).hexdigest()))
-        self._state_count += 1
+        line = StateLine(step=step, file=name, size=len(content), sha256=sha256(content).hexdigest())
+        self._write(line, self._written.end_step)
         self._state_step, self._is_stored = step, True
 
-    def _write(self, line: Line) -> None:
+    def _write(self, line: Line, end_step: int) -> None:
+        """Write a line after which the log ends at this step."""
         if self._log is None:
             return
         written = self._written
         content, link = sealed(line, written.link)
         self._log.write(content)
         self._log.flush()
-        self._written = _Written(written.line_count + 1, written.size + len(content), link)
+        size, states = written.size + len(content), written.state_count + isinstance(line, StateLine)
+        self._written = _Written(written.line_count + 1, size, link, end_step, states)
 
     def _close(self) -> None:
         self._session.log = None

@@ -42,6 +42,7 @@ from heartcase.simulator.engine.cpu import chunks
 from heartcase.simulator.engine.cpu.engine import CpuEngine
 from heartcase.simulator.engine.shared.contact import NO_PROBES
 from heartcase.simulator.lattice.moduli import ForceLaw
+from heartcase.simulator.session import recorder as recorder_module
 from heartcase.simulator.session.operating_session import OperatingSession
 from heartcase.simulator.session.recorder import Recorder
 from heartcase.simulator.session.replay import load_session, refuse_deviation
@@ -578,6 +579,44 @@ def test_a_line_that_was_being_written_when_it_was_interrupted_is_left_out(tmp_p
         session.advance(20)
     assert check_recording(recorder.path) == []
     assert open_recording(recorder.path).end_step == 20
+
+
+def interrupted_at(place: int, path: Path) -> bool:
+    """Record two rows of steps, interrupted at this place of the recorder's code; whether it has so many."""
+    session = OperatingSession(block_simulation(), snapshot_every_s=float("inf"))
+    passed, before = 0, sys.gettrace()
+
+    def at(frame, event, _):
+        nonlocal passed
+        if frame.f_code.co_filename != recorder_module.__file__:
+            return None
+        passed += event in ("line", "return")
+        if passed == place and event in ("line", "return"):
+            raise KeyboardInterrupt
+        return at
+
+    recorder = Recorder(session, path, state_every_s=5 * session.simulation.step_s)
+    with contextlib.suppress(KeyboardInterrupt), recorder:
+        sys.settrace(at)
+        try:
+            session.advance(10)
+            session.advance(10)
+        finally:
+            sys.settrace(before)
+    return passed >= place
+
+
+def test_what_interrupts_it_anywhere_in_its_own_code_leaves_a_whole_recording_of_what_was_done(tmp_path):
+    place, had = 1, []
+    while interrupted_at(place, path := tmp_path / f"{place}.recording"):
+        assert check_recording(path) == [], place
+        found = open_recording(path)
+        assert found.header.end.step == found.end_step, place
+        assert {file.name for file in path.glob("state-*")} == {state.file for state in found.states.values()}, place
+        had.append(found.end_step)
+        place += 1
+    assert had == sorted(had)
+    assert set(had) == {0, 10, 20}
 
 
 def test_a_disk_that_is_full_at_any_operation_ends_the_recording_and_not_the_session(tmp_path):
