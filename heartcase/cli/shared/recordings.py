@@ -7,7 +7,6 @@ from contextlib import contextmanager
 
 import click
 
-from heartcase.schemas.errors import HeartcaseError
 from heartcase.simulator.session.recorder import Recorder
 
 __all__ = ["recorded_into"]
@@ -28,16 +27,14 @@ def recorded_into(recorder: Recorder) -> Iterator[None]:
         if recorder.seconds <= begun_s:
             recorder.discard()
         else:
-            _end(recorder, error)
+            recorder.end_early(error)
+            _tell(recorder)
         raise
 
 
-def _end(recorder: Recorder, error: BaseException) -> None:
-    if isinstance(error, HeartcaseError):
-        recorder.finish()
-    else:
-        recorder.break_off()
+def _tell(recorder: Recorder) -> None:
     kept = f"kept what was recorded by then: {recorder.seconds:.3f} s in {recorder.path}"
     if recorder.error is not None:
-        kept += ", cut short: 'heartcase replay --partial' takes what is whole of it"
+        (why,) = recorder.error.problems
+        kept += f", cut short as it {why.message}; 'heartcase replay --partial' takes what is whole of it"
     click.echo(kept, err=True)

@@ -181,6 +181,17 @@ class Recorder:
             (self.path / _state_name(self._written.state_count)).unlink(missing_ok=True)
             self._seal(self._written.end_step)
 
+    def end_early(self, error: BaseException) -> None:
+        """Finish, or break off where what ended the session may have left it in the middle of something.
+
+        Where that cannot be written, ``self.error`` says so and nothing is raised: what is told is the ``error``.
+        """
+        with contextlib.suppress(RecordingError):
+            if isinstance(error, HeartcaseError):
+                self.finish()
+            else:
+                self.break_off()
+
     def discard(self) -> None:
         """Stop, and leave nothing behind."""
         with contextlib.suppress(OSError):
@@ -195,11 +206,11 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish, or break off where what ended the block may have left the session in the middle of something."""
-        if error is None or isinstance(error, HeartcaseError):
+        """Finish, or end early."""
+        if error is None:
             self.finish()
         else:
-            self.break_off()
+            self.end_early(error)
 
     def _seal(self, step: int) -> None:
         self._close()

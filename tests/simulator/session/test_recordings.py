@@ -652,6 +652,19 @@ def test_a_disk_that_is_full_at_any_operation_ends_the_recording_and_not_the_ses
     assert found.entries == whole.entries
 
 
+@pytest.mark.parametrize("ended", [KeyboardInterrupt(), SimulationError("a grab finds no tissue")])
+def test_a_disk_that_is_full_when_the_block_ends_early_does_not_hide_what_ended_it(tmp_path, ended):
+    session = OperatingSession(block_simulation())
+    recorder = Recorder(session, tmp_path / "a.recording")
+    session.advance(10)
+    full = mock.patch.object(recorder_module, "atomic_write", side_effect=OSError(errno.ENOSPC, "No space left"))
+    with pytest.raises(type(ended)) as raised, full, recorder:
+        raise ended
+    assert raised.value is ended
+    assert "No space left" in str(recorder.error)
+    assert open_recording(recorder.path, partial=True).end_step == 10
+
+
 def test_where_a_recording_cannot_begin_nothing_is_left_and_who_does_not_ask_is_told_by_an_error(tmp_path):
     session = OperatingSession(block_simulation())
     file = tmp_path / "file"

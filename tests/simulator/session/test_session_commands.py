@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
+import os
 import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 import pygltflib
@@ -20,6 +23,7 @@ from heartcase.schemas.errors import SimulationError, UsageError
 from heartcase.schemas.recording.reader import open_recording
 from heartcase.simulator.load import load_case
 from heartcase.simulator.patching.sewn_mesh import sewn_mesh
+from heartcase.simulator.session import recorder
 from heartcase.simulator.session.replay import check_frame_count, frame_steps, load_session
 from heartcase.simulator.session.script import load_script, run_script
 from heartcase.simulator.simulation import Simulation
@@ -251,6 +255,32 @@ def test_a_recording_that_ends_early_keeps_what_was_done_by_then(
     assert main(["validate", str(out)]) == 0
     assert main(["replay", str(out), "--case", str(case_path)]) == 0
     assert f"Checked    {len(found.states)} stored states: the same bytes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("error", ENDS)
+@pytest.mark.parametrize("takes_over", [False, True])
+def test_what_ends_a_recording_early_is_told_also_where_the_disk_is_full_by_then(
+    case_path, recorded, script, capsys, monkeypatch, error, takes_over
+):
+    def interrupted(session, script, **_):
+        def on_frame(_, time_s):
+            if time_s > 0.02:
+                full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                monkeypatch.setattr(recorder, "atomic_write", mock.Mock(side_effect=full))
+                raise error
+
+        run_script(session, script, on_frame=on_frame)
+
+    code, out = ended_early(case_path, recorded, script, monkeypatch, takes_over, interrupted)
+    kept, ended = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert (code, "interrupted" in ended, "broke down" in ended) == (
+        (130, True, False) if error is KeyboardInterrupt else (1, False, True)
+    )
+    found = open_recording(out, partial=True)
+    assert not found.is_whole
+    assert kept.startswith(f"kept what was recorded by then: {found.seconds:.3f} s in {out}, cut short as it cannot be")
+    assert "No space left on device" in kept
+    assert "replay --partial" in kept
 
 
 def shapes_at(content: bytes, frame: int) -> tuple[float, np.ndarray]:
