@@ -41,6 +41,8 @@ _FROM_LEFT_FRONT = (0.45, -1.0, 0.25)
 """Direction from the heart to the camera, LPS: front, somewhat left and above."""
 _AROUND = 1.3
 """What of the heart is in the frame of some blades: as far across as their ends lie apart, times this."""
+_NEAR_BLADE = 2.0
+"""Tissue that says which way a blade goes in: as far from its middle as it reaches, times this."""
 
 
 @dataclass(frozen=True)
@@ -101,9 +103,9 @@ class Filmer:
         centre = (rest_mm.min(axis=0) + rest_mm.max(axis=0)) / 2
         # Room for the tissue that a hand pulls out of the frame of the tissue at rest.
         roomy = centre + 1.25 * (np.asarray(rest_mm, dtype=float) - centre)
-        shown, towards = (roomy, _FROM_LEFT_FRONT) if not blades_mm else _above(blades_mm, centre)
+        shown, towards = (roomy, _FROM_LEFT_FRONT) if not blades_mm else _above(blades_mm, rest_mm)
         up = (0.0, 0.0, 1.0) if abs(towards[2]) < 0.98 else (0.0, -1.0, 0.0)
-        self._camera = camera_for(shown, towards=towards, up=up, size=size, margin=0.02)
+        self.camera = camera_for(shown, towards=towards, up=up, size=size, margin=0.02)
 
     def take(self, seen: Seen) -> UInt8:
         """A picture, shape (height, width, 3)."""
@@ -114,21 +116,17 @@ class Filmer:
         own = seen.sewn.triangles + len(seen.surface.vertices_mm)
         triangles = np.concatenate([seen.triangles.astype(np.int64), own])
         mesh = Mesh(points, triangles, normals, np.concatenate([seen.colours, seen.sewn.colours]))
-        return draw_mesh(mesh, self._camera, depth_shading=True)
+        return draw_mesh(mesh, self.camera, depth_shading=True)
 
     def film(self, seen: Seen) -> None:
         """Keep a picture as the next frame."""
         self.frames.append(self.take(seen))
 
 
-def _above(blades_mm: Sequence[Float64], centre_mm: Float64) -> tuple[Float64, tuple[float, float, float]]:
-    """Corners of a box around the outer ends of some blades, and the direction that they came from.
-
-    The outer end of a blade is the one that lies farther from the middle of the heart.
-    """
-    ends = [np.asarray(blade, dtype=float)[:, [0, -1]] for blade in blades_mm]
-    ends = [one if _distance(one[:, 0], centre_mm) >= _distance(one[:, 1], centre_mm) else one[:, ::-1] for one in ends]
-    outer, inner = (np.concatenate([one[:, which] for one in ends]) for which in (0, 1))
+def _above(blades_mm: Sequence[Float64], rest_mm: Float32) -> tuple[Float64, tuple[float, float, float]]:
+    """Corners of a box around the outer ends of some blades, and the direction that they came from."""
+    ends = [_ends(np.asarray(blade, dtype=float), rest_mm) for blade in blades_mm]
+    outer, inner = (np.concatenate([one[which] for one in ends]) for which in (0, 1))
     towards = (outer - inner).mean(axis=0)
     length = float(np.linalg.norm(towards))
     x, y, z = towards / length if length > 1e-6 else _FROM_LEFT_FRONT
@@ -137,8 +135,23 @@ def _above(blades_mm: Sequence[Float64], centre_mm: Float64) -> tuple[Float64, t
     return (outer.min(axis=0) + outer.max(axis=0)) / 2 + half * corners, (float(x), float(y), float(z))
 
 
-def _distance(points_mm: Float64, centre_mm: Float64) -> float:
-    return float(np.linalg.norm(points_mm.mean(axis=0) - centre_mm))
+def _ends(blade_mm: Float64, rest_mm: Float32) -> tuple[Float64, Float64]:
+    """Outer and inner ends of a blade, LPS mm, shape (count, 3) each.
+
+    It goes in along its edge, as a knife is led along a line, or from pose to pose, as a line is pushed to its depth:
+    whichever leads the straighter into the tissue around it.
+    """
+    middle = blade_mm.mean(axis=(0, 1))
+    reach = np.linalg.norm(blade_mm - middle, axis=2).max()
+    tissue = rest_mm[np.linalg.norm(rest_mm - middle, axis=1) <= _NEAR_BLADE * reach]
+    outward = middle - (tissue if len(tissue) else rest_mm).mean(axis=0)
+
+    def straightness(ends: tuple[Float64, Float64]) -> float:
+        way = (ends[0] - ends[1]).mean(axis=0)
+        return float(way @ outward) / max(float(np.linalg.norm(way)), 1e-6)
+
+    sides = (blade_mm[:, 0], blade_mm[:, -1]), (blade_mm[0], blade_mm[-1])
+    return max((ends for first, last in sides for ends in ((first, last), (last, first))), key=straightness)
 
 
 def write_picture(path: Path | str, picture: UInt8, *, comment: str = "") -> None:

@@ -206,20 +206,20 @@ def test_cuts_are_looked_at_from_close_by_and_from_where_the_blade_came(case_pat
     surface = load_case(case_path).surface
     low, high = surface.rest_mm.min(axis=0), surface.rest_mm.max(axis=0)
     x, y, z = ((low + high) / 2).tolist()
-    script = tmp_path / "cut.toml"
-    # From the top down into the middle: the inner end of the blade comes first.
-    poses = [
-        [[x - 4.0, y, z], [x - 4.0, y, float(high[2]) + 1.0]],
-        [[x + 4.0, y, z], [x + 4.0, y, float(high[2]) + 1.0]],
-    ]
+    # From the top down into the middle: the inner end of the blade comes first. Also as the line, and the line above.
+    poses = np.array([[[x + by, y, z], [x + by, y, float(high[2]) + 1.0]] for by in (-4.0, 4.0)])
     pull = PULL.replace("position_mm = [20.5, -14.0, 40.5]", f"position_mm = {[x, y + 3.0, float(high[2]) - 1.0]}")
-    script.write_text(
-        f"{pull.replace('[0, 0, 2.0]', '[0, 4.0, 0]')}\n[[cuts]]\ntime_s = 0.01\n"
-        f"poses_mm = {np.asarray(poses, float).tolist()}\n".replace("radius_mm = 5.0", "radius_mm = 4.0")
-    )
     shown = {}
-    for name, options in {"far": (), "near": ("--near-cuts",)}.items():
-        film = tmp_path / f"{name}.gif"
+    for name, options, form in (
+        ("far", (), poses),
+        ("near", ("--near-cuts",), poses),
+        ("line", ("--near-cuts",), poses.swapaxes(0, 1)),
+    ):
+        film, script = tmp_path / f"{name}.gif", tmp_path / f"{name}.toml"
+        script.write_text(
+            f"{pull.replace('[0, 0, 2.0]', '[0, 4.0, 0]')}\n[[cuts]]\ntime_s = 0.01\n"
+            f"poses_mm = {form.tolist()}\n".replace("radius_mm = 5.0", "radius_mm = 4.0")
+        )
         arguments = ["--script", str(script), "--animation", str(film), *options]
         assert main(["simulate", str(case_path), *arguments]) == 0
         with image.open(film) as frames:
@@ -227,6 +227,7 @@ def test_cuts_are_looked_at_from_close_by_and_from_where_the_blade_came(case_pat
     white = {name: float((pixels == 255).all(axis=2).mean()) for name, pixels in shown.items()}
     assert white["far"] > 0.3
     assert white["near"] < 0.05  # the box around the cut is narrower than the top that is looked at
+    assert np.array_equal(shown["line"], shown["near"])
 
 
 def test_interrupted_session_leaves_nothing(case_path, tmp_path, monkeypatch, capsys):
