@@ -237,17 +237,15 @@ def _blades(script: SimulationScript | None, near_cuts: bool, *, is_drawn: bool)
     Raises
     ------
     UsageError
-        They are, and nothing is drawn or no blade's way is told in places.
+        They are, and nothing is drawn or nothing is cut.
     """
     if not near_cuts:
         return []
-    whole = [[pose for pose in cut.poses_mm if None not in pose] for cut in (script.cuts if script is not None else ())]
-    blades = [np.asarray(poses, dtype=float) for poses in whole if poses]
     if not is_drawn:
         raise UsageError("there is nothing to look at: give --animation or --picture too", place="--near-cuts")
-    if not blades:
-        raise UsageError("needs a --script with [[cuts]] whose poses are places", place="--near-cuts")
-    return blades
+    if script is None or not script.cuts:
+        raise UsageError("needs a --script with [[cuts]]", place="--near-cuts")
+    return [np.asarray(cut.poses_mm, dtype=float) for cut in script.cuts]
 
 
 def _title(name: str, case_id: str | None) -> str:

@@ -169,7 +169,7 @@ def test_command_prints_a_summary_and_writes_the_surface(case_path, tmp_path, ca
         (["--surface", "nowhere/at/all/end.ply"], 2, "folder"),
         (["--script", "absent.toml"], 1, "no such file"),
         (["--near-cuts"], 2, "nothing to look at"),
-        (["--near-cuts", "--picture", "end.png"], 2, "[[cuts]]"),
+        (["--near-cuts", "--picture", "end.png"], 2, "--near-cuts: needs a --script with [[cuts]]\n"),
         (["--seconds", "-1"], 2, "range"),
     ],
 )
