@@ -18,6 +18,7 @@ from heartcase.schemas.migrate import TOUR
 from heartcase.schemas.scripts.toml_text import text_of
 from heartcase.schemas.toml_places import toml_places
 from heartcase.schemas.toml_problems import toml_problem
+from heartcase.schemas.touring.sound_scene import keys_of, sound_scene
 from heartcase.schemas.touring.text import Block, Choice, Listing, Paragraph, Piece, Question
 from heartcase.schemas.touring.tour import Scene, Tour, TourAct, TourHead, TourStep, Wait, act_problems, parse_act
 
@@ -189,6 +190,8 @@ class _Reader:
             self._say(1, "the tour has no steps: each begins with a line such as  ## What it is")
         for step in self.steps:
             question = self._question(step)
+            # What is wrong in a scene was told where it was read.
+            scene = Scene() if step.scene is None or self.problems else step.scene
             if not step.blocks and question is None:
                 self._say(step.line, "this step says nothing: write some words below its heading", step)
             steps += self._checked(
@@ -197,7 +200,7 @@ class _Reader:
                     "title": step.title,
                     "line": step.line,
                     "blocks": tuple(step.blocks),
-                    "scene": step.scene or Scene(),
+                    "scene": scene,
                     "acts": step.acts,
                     "question": question,
                 },
@@ -244,7 +247,9 @@ class _Reader:
             self._toml_problem(text, error, first, step)
             return
         done = data.pop("do", [])
-        step.scene = self._sound_scene(data, first, text, step)
+        step.scene, problems = sound_scene(data)
+        for problem in problems:
+            self._tell(_line_of(text, problem.place, first), problem, step)
         if not isinstance(done, list):
             self._tell(_line_of(text, "do", first), Problem("do", "write each act as a table: [[do]]"), step)
             return
@@ -256,27 +261,6 @@ class _Reader:
             # what stands for a wrong one names nothing, and leaves the others their numbers
             acts.append(Wait(kind="wait", seconds=1.0) if wrong else parse_act(one))
         step.acts = tuple(acts)
-
-    def _sound_scene(self, data: dict[str, Any], first: int, text: str, step: _Step) -> Scene:
-        """The scene of a step, without what is told as wrong in it."""
-        known = len(self.problems)
-        found = self._checked(Scene, data, first, text, step)
-        if found:
-            return found[0]
-        for problem in self.problems[known:]:
-            _, _, place = problem.place.partition(": ")
-            table, key = data, ""
-            for key in re.sub(r"\[\d+\]", "", place).split("."):
-                if not isinstance(table.get(key), dict):
-                    break
-                table = table[key]
-            table.pop(key, None)
-        # without a view it would have none of its own
-        data.setdefault("view", {})
-        try:
-            return Scene.model_validate(data)
-        except ValidationError:
-            return Scene()
 
     def _question(self, step: _Step) -> Question | None:
         if step.asked is None:
@@ -290,7 +274,7 @@ class _Reader:
         if any(one.is_right and not one.reason for one in choices):
             say = "say why the right answer is right: a line further in, below it"
             self._say(step.asked_line, say, step)
-        made = self._checked(Question, {"text": step.asked, "choices": tuple(choices)}, step.asked_line, step=step)
+        made = self._checked(Question, {"text": step.asked, "choices": tuple(choices)}, step.asked_line, step)
         return made[0] if made else None
 
     def _choice(self, item: SyntaxTreeNode, before: int) -> Choice:
@@ -373,14 +357,12 @@ class _Reader:
         walk(node.children, False, False)
         return tuple(found)
 
-    def _checked(
-        self, model: type[M], data: dict[str, Any], first: int, text: str = "", step: _Step | None = None
-    ) -> list[M]:
+    def _checked(self, model: type[M], data: dict[str, Any], line: int, step: _Step | None = None) -> list[M]:
         try:
             return [model.model_validate(data)]
         except ValidationError as error:
             for problem in problems_from_validation(error, model=model):
-                self._tell(_line_of(text, problem.place, first) if text else first, problem, step)
+                self._tell(line, problem, step)
         return []
 
     def _toml_problem(self, text: str, error: tomllib.TOMLDecodeError, first: int, step: _Step | None = None) -> None:
@@ -410,9 +392,7 @@ def _plain(node: SyntaxTreeNode) -> str:
 
 def _line_of(text: str, dotted: str, first: int) -> int:
     """Line of the file in which a setting stands; that of the nearest table above where it is not there."""
-    keys: list[str | int] = []
-    for part in re.findall(r"[^.\[\]]+|\[\d+\]", dotted.replace("from_", "from")):
-        keys.append(int(part[1:-1]) - 1 if part.startswith("[") else part)
+    keys = keys_of(dotted)
     best, at = -1, 0
     for table in toml_places(text):
         for place, start in ((table.place, table.start), *((entry.place, entry.start) for entry in table.entries)):

@@ -6,7 +6,7 @@ import pytest
 
 from heartcase.schemas.errors import ScriptError
 from heartcase.schemas.touring.names import tour_problems
-from heartcase.schemas.touring.reading import SIZE_MAX, load_tour, parse_tour
+from heartcase.schemas.touring.reading import SIZE_MAX, load_tour, parse_tour, read_tour
 from heartcase.schemas.touring.text import plain
 from heartcase.schemas.touring.tour import PatchOver, SessionAct, Wait
 from tests.hollow_case import hollow_case
@@ -149,3 +149,51 @@ def test_a_case_that_lacks_what_a_tour_names_is_told_so():
     assert any("cut_plane.through.near" in one for one in found)
     assert any("do[1].landmark: the case has no ring 'hole'" in one for one in found)
     assert tour_problems(parse_tour(TOUR.replace('"hole"', '"vessel"')), manifest.landmarks, manifest.labels)
+
+
+@pytest.mark.parametrize(
+    ("scene", "wrong", "lacking"),
+    [
+        (
+            'show = ["no"]\n[view]\nat = { near = "nowhere" }',
+            {"view.at.towards", "view.at.by_mm"},
+            {"show", "view.at.near"},
+        ),
+        ('show = ["no", 3]', {"show[2]"}, {"show"}),
+        ('hide = ["a/b", "no", "aorta"]', {"hide[1]"}, {"hide"}),
+        ('show = ["no"]\nhide = ["nor this"]', {""}, {"show", "hide"}),
+        ('show = "no"\n[view]\nat = "nowhere"', {"show"}, {"view.at"}),
+        (
+            'show = ["no"]\n[cut_plane]\nthrough = "nowhere"',
+            {"cut_plane.removes"},
+            {"show", "cut_plane.through"},
+        ),
+        ('[cut_plane]\nthrough = "nowhere"\nremoves = 3', {"cut_plane.removes"}, {"cut_plane.through"}),
+        (
+            '[cut_plane]\nthrough = { towards = "nowhere", by_mm = 2 }\nremoves = "no way"',
+            {"cut_plane.through.near"},
+            {"cut_plane.through.towards", "cut_plane.removes"},
+        ),
+        # square needs a landmark: it says nothing against where the eye is
+        ('[view]\nsquare = true\nfrom = "nowhere"', {"view"}, {"view.from"}),
+        ('view = 3\nshow = ["no"]', {"view"}, {"show"}),
+        ('[[view]]\nat = "hole"\n[cut_plane]\nthrough = "nowhere"\nremoves = "front"', {"view"}, {"cut_plane.through"}),
+        # the step has no view at all, and that its list is wrong does not hide it
+        ('show = [3]\n[cut_plane]\nremoves = "front"', {"show[1]"}, {"cut_plane.through"}),
+        # what is misspelt or wrong may be what says where the plane lies
+        ('[veiw]\nat = "hole"\n[cut_plane]\nremoves = "front"', {"veiw"}, set()),
+        ('[cut_plane]\ntrough = "hole"\nremoves = "front"', {"cut_plane.trough"}, set()),
+        ('[cut_plane]\nthrough = 3\nremoves = "front"', {"cut_plane.through"}, set()),
+    ],
+)
+def test_what_is_wrong_in_a_scene_hides_nothing_that_the_case_lacks(tmp_path, scene, wrong, lacking):
+    path = tmp_path / "a.tour.md"
+    path.write_text(f"{SMALL}\n```toml\n{scene}\n```\n")
+    read, manifest = read_tour(path), hollow_case().manifest
+
+    def places(problems):
+        return [one.place.partition(": ")[2] for one in problems]
+
+    assert sorted(places(read.problems)) == sorted(wrong)
+    assert sorted(places(tour_problems(read, manifest.landmarks, manifest.labels))) == sorted(lacking)
+    assert all(one.place.startswith("line ") for one in read.problems)
