@@ -46,8 +46,11 @@ def tour_findings(path: Path, case: Path | None, *, run: bool) -> tuple[tuple[Pr
     problems = list(read.problems)
     found = case if case is not None or read.head is None else _recipe_beside(path, read.head)
     if found is None:
-        words = "no recipe of this case lies beside it, so it was not checked whether the case has what it names"
-        return tuple(problems), (CaseWarning(f"{words}: give --case"),)
+        why, mend = "no recipe of this case lies beside it", "give --case"
+        if read.head is None:
+            why, mend = "which case it is for cannot be read", "mend its head, or give --case"
+        words = f"{why}, so it was not checked whether the case has what it names: {mend}"
+        return tuple(problems), (CaseWarning(words),)
     try:
         stated = read_manifest(found) if found.is_dir() else load_recipe(found)
     except HeartcaseError as error:

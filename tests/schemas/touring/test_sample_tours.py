@@ -115,3 +115,18 @@ center_mm = "nowhere"
     again = capsys.readouterr().out
     assert "line 2: heartcase_tour" in again or "versions up to 1" in again
     assert "show: the case has no structure" in again
+
+
+def test_a_tour_whose_head_is_wrong_is_not_said_to_have_no_recipe_beside_it(tmp_path, capsys):
+    path = tmp_path / "avsd.tour.md"
+    text = (SAMPLES / "avsd.tour.md").read_text()
+    path.write_text(text)
+    assert main(["validate", str(path)]) == 0
+    assert "no recipe of this case lies beside it" in capsys.readouterr().out
+    (tmp_path / "avsd.toml").write_bytes((SAMPLES / "avsd.toml").read_bytes())
+    path.write_text(text.replace("heartcase_tour = 1", "heartcase_tour = 9"))
+    assert main(["validate", str(path)]) == 1
+    told = capsys.readouterr().out
+    assert "lies beside it" not in told
+    assert "which case it is for cannot be read" in told
+    assert "mend its head, or give --case" in told
