@@ -75,10 +75,10 @@ class StitchState:
     """How far the places are apart, mm: more than the length by what the thread is stretched."""
     row: str = ""
     """Row that it belongs to; empty for none."""
-    drawn_n: float | None = None
-    """Tension that it is drawn with, N; None where its length is held, as when it is tied."""
     is_running: bool = False
     """Whether one thread with one tension runs through all stitches of its row."""
+    drawn_n: float | None = None
+    """Tension that it is drawn with, N; None where its length is held, as when it is tied."""
 
 
 def bind(model: LatticeModel, cuts: Cuts | None, places: tuple[Place, Place]) -> tuple[Int32, Float32]:

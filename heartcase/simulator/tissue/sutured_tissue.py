@@ -303,8 +303,8 @@ class SuturedTissue(MovingTissue):
             length_mm=float(length * model.cell_mm),
             distance_mm=float(distance * model.cell_mm),
             row=stitch.row,
-            drawn_n=None if is_held else float(stitch.tension_most * model.units.force_n),
             is_running=stitch.is_running,
+            drawn_n=None if is_held else float(stitch.tension_most * model.units.force_n),
         )
 
     def _as_place(self, one: npt.ArrayLike | Place, uncut: LatticeModel, at_rest: bool, name: str) -> Place:

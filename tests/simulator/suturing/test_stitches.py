@@ -8,6 +8,7 @@ import pytest
 from heartcase.schemas.errors import SimulationError
 from heartcase.simulator.simulation import Simulation
 from heartcase.simulator.suturing.places import Place, nearest_on_surface, place_near
+from heartcase.simulator.suturing.stitches import StitchState
 from tests.simulator.cutting.test_cuts import across_bar
 from tests.simulator.lattices import block, oblique_geometry
 from tests.simulator.suturing.threads import two_blocks
@@ -55,6 +56,11 @@ def test_a_thread_drawn_with_a_tension_pulls_with_it_and_keeps_it_when_it_is_tie
         simulation.draw(stitch, length_mm=0.0)
     simulation.step(4000)
     assert simulation.stitch_state(stitch).force_n == pytest.approx(216e-9 * 1060 * 9.81, rel=2e-3)
+
+
+def test_a_state_that_is_made_by_position_means_what_it_did():
+    state = StitchState("stay", False, np.zeros((2, 3)), 0.1, 2.0, 2.5, "row", True)
+    assert (state.row, state.is_running, state.drawn_n) == ("row", True, None)
 
 
 @pytest.mark.parametrize(("backend", "part"), [("reference", 1e-13), ("cpu", 1e-5)])
