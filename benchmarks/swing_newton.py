@@ -25,7 +25,7 @@ _FIVE_TETRAHEDRA = (
     ((1, 2, 4, 7), (0, 1, 2, 4), (3, 1, 7, 2), (5, 1, 4, 7), (6, 2, 7, 4)),
     ((0, 3, 5, 6), (1, 0, 3, 5), (2, 0, 6, 3), (4, 0, 5, 6), (7, 3, 6, 5)),
 )
-"""Corners of a cube's five tetrahedra, corner number x + 2 y + 4 z, for cells whose index is odd or even in sum."""
+"""Corners of a cube's five tetrahedra, corner number x + 2 y + 4 z, for cells whose index is even or odd in sum."""
 
 
 class NewtonBar:
