@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-__all__ = ["MESSAGES", "problem_facts", "spoken", "value_names"]
+__all__ = ["MESSAGES", "problem_facts", "value_names"]
 
 MESSAGES: Mapping[str, str] = {
     "recording-begun": "recording into {name}",
@@ -23,7 +23,7 @@ MESSAGES: Mapping[str, str] = {
     "recording-busy": "it is being recorded: end the recording first",
     "recording-name-taken": "there is already a recording of this name: choose another",
     "recording-unwritten": "what was done cannot be written",
-    "recording-cut-short": "it was cut short: the first {seconds#} s are shown",
+    "recording-not-whole": "it is not whole: the first {seconds#} s are shown",
     "recording-other-case": (
         "this recording is of the case {of} with {count#} nodes, and the case given is not the same ({nodes#} nodes): "
         "give the case that was recorded, not built anew in another way"
@@ -119,16 +119,6 @@ _NUMBER = r"-?[\d.,]+(?:e[+-]?\d+)?"
 def problem_facts(place: str, message: str) -> dict[str, Any]:
     """A problem as a page is told it: place and text, with kind and values (``code``, ``values``) where it has some."""
     return {"place": place, "message": message} | _recognised(message)
-
-
-def spoken(words: str) -> dict[str, Any]:
-    """A message as a page is told it; the place that stands before what is said (``hand 1: ...``) is told apart."""
-    if found := _recognised(words):
-        return {"text": words, "place": "", "message": words} | found
-    place, _, rest = words.partition(": ")
-    if rest and (found := _recognised(rest)):
-        return {"text": words, "place": place, "message": rest} | found
-    return {"text": words, "place": "", "message": words}
 
 
 def value_names(template: str) -> frozenset[str]:

@@ -168,8 +168,8 @@ class HeartWindow:
         if self.live.error is not None:
             raise self.live.error
         newest = self.live.newest
-        for words in self.live.take_messages():
-            self._say(words)
+        for said in self.live.take_messages():
+            self._say(str(said))
         if newest is self._drawn and not self._is_dirty and time.perf_counter() < self._message_until:
             return
         if self._strain is not None and newest is not self._drawn:

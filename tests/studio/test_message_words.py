@@ -12,7 +12,7 @@ from heartcase.simulator.case_simulation import simulation_of_case
 from heartcase.simulator.live.live import Live
 from heartcase.simulator.load import load_case
 from heartcase.simulator.session.operating_session import OperatingSession
-from heartcase.studio.message_words import MESSAGES, problem_facts, spoken, value_names
+from heartcase.studio.message_words import MESSAGES, problem_facts, value_names
 from heartcase.studio.messages import problems_of
 from heartcase.studio.serving.app import PAGE
 from tests.simulator.live.scenes import write_case
@@ -56,11 +56,9 @@ def test_every_kind_is_recognised(code):
     values = dict.fromkeys(value_names(MESSAGES[code]), "12.5")
     text = re.sub(r"\{(\w+)#?\}", lambda found: values[found[1]], MESSAGES[code])
     assert problem_facts("here", text) == {"place": "here", "message": text, "code": code, "values": values}
-    assert spoken(f"hand 1: {text}") == {"text": f"hand 1: {text}"} | problem_facts("hand 1", text)
 
 
 def test_what_no_kind_fits_is_told_as_it_is():
-    assert spoken("odd: that") == {"text": "odd: that", "place": "", "message": "odd: that"}
     assert problems_of(SimulationError("odd", place="x")) == [{"place": "x", "message": "odd"}]
 
 
@@ -71,7 +69,7 @@ def test_what_a_session_says_is_recognised(tmp_path):
     live.tick()
     live.stop_recording()
     live.tick()
-    begun, done = (spoken(words) for words in live.take_messages())
+    begun, done = (problem_facts(said.place, said.message) for said in live.take_messages())
     assert (begun["code"], begun["values"]) == ("recording-begun", {"name": "one.recording"})
     assert done["code"] == "recording-done"
     for wrong, code in (

@@ -121,6 +121,6 @@ def command(
         window.run()
     finally:
         window.close()
-    for words in live.take_messages():
-        click.echo(words)
+    for said in live.take_messages():
+        click.echo(str(said))
     click.echo(loaded.manifest.notice)

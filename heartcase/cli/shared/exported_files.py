@@ -248,7 +248,8 @@ def page_file(
         said = (
             f"guided tours in it: {'; '.join(made.tours)}" if made.tours else f"no guided tour is in it: {TOUR_PLACES}",
         )
-    return ExportedFile(made.content, f"the case as a page{words}", facts, made.warnings, said)
+    warnings = tuple(map(str, made.warnings))
+    return ExportedFile(made.content, f"the case as a page{words}", facts, warnings, said)
 
 
 def recorded_file(

@@ -170,7 +170,8 @@ class DeviceHand:
         self._side.felt.clear()
         self._live.take_by(None)
         self._live.let_go_softly(self._name)
-        self._live.tell(f"{error}; its hand lets go softly")
+        for one in error.problems:
+            self._live.tell(replace(one, message=f"{one.message}; its hand lets go softly"))
 
     def _open_or_close(self, session: OperatingSession) -> tuple[Refusal, ...]:
         """Follow the device's button."""

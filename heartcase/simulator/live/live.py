@@ -18,7 +18,7 @@ from typing import get_args
 import numba
 
 from heartcase.schemas.bundle.format import CaseManifest
-from heartcase.schemas.errors import HeartcaseError, RecordingError, SimulationError
+from heartcase.schemas.errors import HeartcaseError, Problem, RecordingError, SimulationError
 from heartcase.schemas.recording.commands import (
     BringProbe,
     Cut,
@@ -99,7 +99,7 @@ class Live:
         self._goals = Goals()
         self._leaving: dict[str, Done] = {}
         self._asked: deque[Done | Navigation | Callable[[], None]] = deque()
-        self._messages: deque[str] = deque()
+        self._messages: deque[Problem] = deque()
         self._wake = threading.Condition()
         self._is_closing = False
         self.has_ended = False
@@ -241,12 +241,12 @@ class Live:
         """Let the steps of each frame be taken by another, as for a haptic device; by the session itself for None."""
         self._ask([lambda: setattr(self, "_taker", taker)])
 
-    def tell(self, words: str) -> None:
-        """Let a user read this."""
-        self._messages.append(words)
+    def tell(self, said: Problem) -> None:
+        """Let a user read this; what it is about is its place."""
+        self._messages.append(said)
 
-    def take_messages(self) -> list[str]:
-        """What there is to be read since the last time."""
+    def take_messages(self) -> list[Problem]:
+        """What there is to be read since the last time; not all of it is wrong."""
         found = []
         while self._messages:
             found.append(self._messages.popleft())
@@ -268,10 +268,10 @@ class Live:
             self._ticked = began
             frame = self._taken(steps)
             for refusal in frame.refused:
-                self._messages.extend(str(problem) for problem in refusal.problems)
+                self._messages.extend(refusal.problems)
             if frame.breakdown is not None:
                 self._goals.drop()
-                self._messages.append(frame.breakdown)
+                self._messages.append(Problem("simulation", frame.breakdown))
             self._measure()
             self._publish(frame)
             self._learn(time.perf_counter() - began)
@@ -332,7 +332,7 @@ class Live:
             try:
                 self._do(one)
             except HeartcaseError as error:
-                self._messages.extend(str(problem) for problem in error.problems)
+                self._messages.extend(error.problems)
         return bool(asked)
 
     def _do(self, one: Done | Navigation | Callable[[], None]) -> None:
@@ -390,7 +390,7 @@ class Live:
         try:
             frame = next(self._played, None)
         except SimulationError as error:
-            self._messages.extend(str(problem) for problem in error.problems)
+            self._messages.extend(error.problems)
             frame = None
         if frame is None:
             self._set_mode("paused")
@@ -427,7 +427,7 @@ class Live:
     def _begin_to_record(self, path: Path) -> None:
         self._finish_recording()
         self._recorder = Recorder(self.session, path, case=self._manifest, failed=self._drop_recorder)
-        self._messages.append(f"recording into {path.name}")
+        self._messages.append(Problem("", f"recording into {path.name}"))
 
     def _finish_recording(self) -> None:
         recorder, self._recorder = self._recorder, None
@@ -435,13 +435,14 @@ class Live:
             recorder.finish()
             if recorder.error is None:
                 self._kept.note(self.session)
-                self._messages.append(f"recorded in {recorder.path.name}")
+                self._messages.append(Problem("", f"recorded in {recorder.path.name}"))
 
     def _drop_recorder(self, error: RecordingError) -> None:
         """The recording ended by itself, and the session goes on."""
         self._recorder = None
         self._messages.extend(
-            f"{problem}; the recording ended with what was done by then" for problem in error.problems
+            replace(problem, message=f"{problem.message}; the recording ended with what was done by then")
+            for problem in error.problems
         )
 
     def _begin_to_leave(self, name: str) -> None:

@@ -287,7 +287,7 @@ class OperatingSession:
             try:
                 self._do_now(_row(steps))
             except SimulationError as error:
-                breakdown = str(error)
+                breakdown = error.problems[0].message
         return self.frame(surface=surface, breakdown=breakdown)
 
     def frame(self, *, surface: bool = False, breakdown: str | None = None) -> Frame:

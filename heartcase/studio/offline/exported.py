@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PageResult", "fitting_page_of", "page_of", "site_of"]
 
-_CUT_SHORT = "it was cut short: the first {seconds:.1f} s are shown"
+_NOT_WHOLE = "it is not whole: the first {seconds:.1f} s are shown"
 _TOUR_S = 10.0
 """Simulated time of a tour, about, s: how much of all that is played it counts for."""
 
@@ -43,7 +43,7 @@ class PageResult:
     """The file."""
     tours: tuple[str, ...]
     """Titles of the guided tours in it."""
-    warnings: tuple[str, ...]
+    warnings: tuple[Problem, ...]
     """What is wrong with tours, of each that is so."""
 
 
@@ -59,7 +59,7 @@ def page_of(
 ) -> PageResult:
     """The page of a case with its recordings and its guided tours.
 
-    With ``is_partial`` a recording that was cut short or damaged is played as far as it is whole.
+    With ``is_partial`` a recording that is not whole is played as far as it is whole.
     A tour that cannot be read is left out, and one that could not be done to its end ends before. ``told`` hears which
     part of all that is to be played is done, 0 to 1.
 
@@ -91,16 +91,16 @@ def page_of(
     normal_map = load_normal_map(case, loaded.surface, level)
     made = web_page(loaded, shown, played, tours=toured, normal_map=normal_map, frames_per_second=frames_per_second)
     problems = (*problems, *(each for one in toured for each in one.problems))
-    return PageResult(made, tuple(one.tour.tour.title for one in toured), tuple(map(str, problems)))
+    return PageResult(made, tuple(one.tour.tour.title for one in toured), problems)
 
 
 def fitting_page_of(
     case: Path, recordings: Sequence[Path], told: Callable[[float], None] = lambda _: None
-) -> tuple[bytes, list[str]]:
+) -> tuple[bytes, list[Problem]]:
     """The file of such a page at the full surface, and its warnings.
 
-    It has as many pictures a second as the longest recording has room for. A recording that was cut short is played as
-    far as it is whole, and a warning says so.
+    It has as many pictures a second as the longest recording has room for. A recording that is not whole is played
+    as far as it is, and a warning says so.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def fitting_page_of(
     opened = [(one.stem, open_recording(one, partial=True)) for one in recordings]
     rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / max([1.0, *(one.seconds for _, one in opened)]))
     made = page_of(case, recordings, level=0, frames_per_second=rate, is_partial=True, told=told)
-    short = [f"{name}: {_CUT_SHORT.format(seconds=one.seconds)}" for name, one in opened if not one.is_whole]
+    short = [Problem(name, _NOT_WHOLE.format(seconds=one.seconds)) for name, one in opened if not one.is_whole]
     return made.content, [*short, *made.warnings]
 
 

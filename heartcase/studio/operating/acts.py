@@ -135,7 +135,7 @@ async def act(
 
 
 async def _recordings(stage: Stage, run: Callable[[Callable[[], Any]], Awaitable[Any]]) -> dict[str, Any]:
-    return {"recordings": await run(stage.recordings), "cut_short": await run(stage.cut_short)}
+    return {"recordings": await run(stage.recordings), "unfinished": await run(stage.unfinished)}
 
 
 def met(viewer: Viewer, look: Look | None) -> Float64:

@@ -111,7 +111,7 @@ class ComparedPlans:
                 "time_s": one.time_s,
                 "inverted_cell_count": one.inverted_cell_count,
                 "hand_force_n": one.hand_force_n,
-                "cut_short_s": shown_s[name],
+                "shown_s": shown_s[name],
                 "problems": [problem_facts(each.place, each.message) for each in one.problems],
             }
             for name, one in found.items()
@@ -124,9 +124,9 @@ class ComparedPlans:
             for name in wanted:
                 state = self._state_of(name)
                 line.send(str(self._out / name))
-                answer, cut_short_s = line.recv()
+                answer, shown_s = line.recv()
                 with self._lock:
-                    self._known[name] = state, answer, cut_short_s
+                    self._known[name] = state, answer, shown_s
                 self._heard()
         if self._beside.is_left:
             # it was left for another comparison, or for good

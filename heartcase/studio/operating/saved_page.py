@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from heartcase.schemas.bundle.placing import refuse_inside_case
+from heartcase.schemas.errors import Problem
 from heartcase.schemas.files import atomic_write
-from heartcase.studio.message_words import problem_facts, spoken
+from heartcase.studio.message_words import problem_facts
 from heartcase.studio.messages import told
 from heartcase.studio.operating.beside import Beside
 from heartcase.studio.operating.ending import problems_at
 
 __all__ = ["PageOf", "SavedPage", "told_seldom"]
 
-PageOf = Callable[[Path, Sequence[Path], Callable[[float], None]], tuple[bytes, list[str]]]
+PageOf = Callable[[Path, Sequence[Path], Callable[[float], None]], tuple[bytes, list[Problem]]]
 """Makes the file of a case and its recordings, and says what is wrong with it; a process beside must find it. It tells
 which part is done, 0 to 1."""
 
@@ -132,6 +133,6 @@ def _make(line: Connection, page_of: PageOf, case: Path, recordings: list[Path])
     with contextlib.suppress(OSError):
         try:
             content, warnings = page_of(case, recordings, told_seldom(line.send))
-            line.send((content, [spoken(warning) for warning in warnings]))
+            line.send((content, [problem_facts(one.place, one.message) for one in warnings]))
         except Exception as error:
             line.send((b"", problems_at(case, told(error))))

@@ -155,12 +155,12 @@ class Stage:
     def replay(self, name: str, speed: float = 1.0, *, skips: bool = False) -> float | None:
         """Leave the session, and play a recording from its start; ``speed`` and ``skips`` are those of ``Live.play``.
 
-        One that was cut short is played as far as it is whole; one that is being recorded is finished before.
+        One that is not whole is played as far as it is; the one that this session records is finished before.
 
         Returns
         -------
         float or None
-            How long it is played of one that was cut short, s; None where it is whole.
+            How long it is played of one that is not whole, s; None where it is.
 
         Raises
         ------
@@ -183,11 +183,14 @@ class Stage:
         """Names of the recordings that are there, the newest first."""
         return sorted(self._found(), key=lambda name: (self._out / name).stat().st_mtime, reverse=True)
 
-    def cut_short(self) -> list[str]:
-        """Names of the recordings that were never finished, as where the server was killed."""
-        return [name for name in self._found() if name != self.live.newest.recording and self._is_cut_short(name)]
+    def unfinished(self) -> list[str]:
+        """Names of the recordings that have no end: a server was killed, or another program is at work on them.
 
-    def _is_cut_short(self, name: str) -> bool:
+        The one that this session records is not among them.
+        """
+        return [name for name in self._found() if name != self.live.newest.recording and self._is_unfinished(name)]
+
+    def _is_unfinished(self, name: str) -> bool:
         try:
             return read_header(self._out / name).end is None
         except HeartcaseError:
@@ -205,6 +208,19 @@ class Stage:
             raise RecordingError("there is no recording of this name: look at the list again", place="recording")
         return name
 
+    def finished(self, name: str) -> str:
+        """The name of a recording that is there, and that this session does not record.
+
+        Raises
+        ------
+        RecordingError
+            There is none of this name, or it is being recorded.
+        """
+        if self.live.newest.recording == self.known(name):
+            # it is not ended unasked: what is done next shall be in it
+            raise RecordingError("it is being recorded: end the recording first", place="recording")
+        return name
+
     def rename(self, name: str, to: str) -> None:
         """Give a recording another name, without its ending.
 
@@ -213,9 +229,7 @@ class Stage:
         RecordingError
             There is no such recording, it is being written, or the name is taken.
         """
-        path, new = self._out / self.known(name), self._out / f"{to.strip()}.recording"
-        if self.live.newest.recording == name:
-            raise RecordingError("it is being recorded: end the recording first", place="recording")
+        path, new = self._out / self.finished(name), self._out / f"{to.strip()}.recording"
         if new.exists():
             raise RecordingError("there is already a recording of this name: choose another", place="recording")
         try:
@@ -304,7 +318,7 @@ class Stage:
         if all(one.exception() is not None for one in closing):
             raise UsageError(refused)
         for problem in refused:
-            live.tell(str(problem))
+            live.tell(problem)
         for (_, led, speed_mm_s), closed in zip(hands, closing, strict=True):
             if closed.exception() is None:
                 live.lead(led, speed_mm_s)

@@ -14,7 +14,7 @@ from heartcase.schemas.errors import HeartcaseError, UsageError
 from heartcase.simulator.live.live import Live
 from heartcase.studio.asking import request_id
 from heartcase.studio.idle import FREE_AFTER_S, Idle
-from heartcase.studio.message_words import problem_facts, spoken
+from heartcase.studio.message_words import problem_facts
 from heartcase.studio.messages import text_message
 from heartcase.studio.operating.acts import OwnAct, act, met
 from heartcase.studio.operating.approved import WatchedApproval
@@ -154,7 +154,7 @@ class Theatre:
                 self._rests = False
                 stage.live.pause(False)
             if self._freed is not None:
-                self._tell(text_message("message", **spoken(self._freed)))
+                self._tell(text_message("message", **problem_facts("", self._freed)))
                 self._freed = None
             self._news.set()
 
@@ -173,7 +173,7 @@ class Theatre:
         self._forget_stage()
         for page in self._viewers:
             self._greet(page, stage)
-        self._tell(text_message("message", **spoken(_BUILT_ANEW)))
+        self._tell(text_message("message", **problem_facts("", _BUILT_ANEW)))
         self._news.set()
         old = before.live
         if (words := await self._ended(before)) is not None:
@@ -300,7 +300,7 @@ class Theatre:
                     name, speed, skips = replayed.name, replayed.speed, replayed.skips
                     shown_s = await self._run(lambda: newest.replay(name, speed, skips=skips))
                     self._show_begun(live)
-                    return {} if shown_s is None else {"cut_short_s": shown_s}
+                    return {} if shown_s is None else {"shown_s": shown_s}
                 self._show_begun(live)
             case Strain():
                 viewer.wants_strain = request.shown
@@ -319,12 +319,12 @@ class Theatre:
                     stage.figures.ask_for_reach()
                 self._news.set()
             case Compare():
-                names = await self._run(lambda: [stage.known(name) for name in request.names])
+                names = await self._run(lambda: [stage.finished(name) for name in request.names])
                 # it takes seconds for each of them: the processors are for that
                 live.pause(True)
                 await self._run(lambda: self._plans.compare(names))
             case SavePage():
-                names = await self._run(lambda: [stage.known(name) for name in request.names])
+                names = await self._run(lambda: [stage.finished(name) for name in request.names])
                 await self._run(lambda: self.saved.save(names))
             case LeavePage():
                 await self._run(self.saved.leave)
@@ -418,7 +418,7 @@ class Theatre:
                 self._tell(text_message("approval", is_approved=is_approved))
             if not await self._run(partial(stage.is_of, self._case)) and self._stage is stage:
                 told = stage
-                self._tell(text_message("message", **spoken(_OLDER)))
+                self._tell(text_message("message", **problem_facts("", _OLDER)))
 
     async def _fail(self, error: BaseException, stage: Stage) -> bool:
         """The session cannot go on: it is told, what was done is kept, and who comes next begins anew.
@@ -447,7 +447,7 @@ class Theatre:
     def _tell_or_keep(self, words: str) -> None:
         """Tell all pages; where there is none, the next that comes."""
         if self._viewers:
-            self._tell(text_message("message", **spoken(words)))
+            self._tell(text_message("message", **problem_facts("", words)))
         else:
             self._freed = words
 
@@ -500,8 +500,8 @@ class Theatre:
 
     def _tell_all_of(self, live: Live) -> None:
         """Tell what a session has to say."""
-        for words in live.take_messages():
-            self._tell(text_message("message", **spoken(words)))
+        for said in live.take_messages():
+            self._tell(text_message("message", **problem_facts(said.place, said.message)))
 
     def _tell(self, message: str) -> None:
         for page in self._viewers:

@@ -89,7 +89,7 @@ def test_a_loop_that_was_lost_is_told_and_its_hand_lets_go_softly(case):
     # brought back before it let go, and time went on without it
     assert offsets[-2][0] < 0.5
     assert hand.error is not None
-    assert any("haptic loop has ended" in words for words in live.take_messages())
+    assert any("haptic loop has ended" in str(said) for said in live.take_messages())
     step = live.newest.frame.step
     until(lambda: live.newest.frame.step > step)
     assert not servo._told.closed

@@ -69,7 +69,7 @@ def test_what_was_taken_back_is_a_branch_when_time_goes_on_and_is_known_again_wh
     # what there is none of is told
     live.take_up(branch.number)
     live.tick()
-    assert any("no such branch" in message for message in live.take_messages())
+    assert any("no such branch" in said.message for said in live.take_messages())
     # what is dropped for good is no branch
     live.do(Undo())
     live.forget_ahead()
@@ -371,7 +371,7 @@ def test_a_recording_that_cannot_be_written_is_told_and_the_session_goes_on(case
     live.start()
     heard = []
     until(lambda: heard.extend(live.take_messages()) or heard)
-    assert "cannot be written" in heard[0]
+    assert (heard[0].place, heard[0].message[:17]) == ("recording", "cannot be written")
     live.record(tmp_path / "b.recording")
     until(lambda: live.newest.recording is not None)
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -380,13 +380,13 @@ def test_a_recording_that_cannot_be_written_is_told_and_the_session_goes_on(case
         until(lambda: live.newest.recording is None)
     step = live.newest.frame.step
     until(lambda: live.newest.frame.step > step and live.newest.act_count == 1)
-    assert "No space left" in " ".join(live.take_messages())
+    assert "No space left" in " ".join(map(str, live.take_messages()))
     # all that was done is there, and is recorded where there is room
     live.record(tmp_path / "c.recording")
     until(lambda: live.newest.recording is not None)
     live.close()
     assert live.error is None
-    assert "c.recording" in live.take_messages()[-1]
+    assert "c.recording" in live.take_messages()[-1].message
     assert bytes_of(played_again(tmp_path / "c.recording", case).simulation) == bytes_of(live.session.simulation)
 
 

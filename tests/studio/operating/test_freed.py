@@ -52,12 +52,12 @@ def test_what_was_done_is_kept_in_a_recording_that_goes_on(soon, operated_case, 
         until(lambda: gc.collect() >= 0 and case() is None)
         assert list(tmp_path.iterdir()) == []
         with operator(browser, opened) as page:
-            assert page.hear("message")["text"].endswith("this is its beginning")
+            assert page.hear("message")["message"].endswith("this is its beginning")
             pull(page)
             act_count = page.frames[-1]["act_count"]
         until(lambda: stage_of(opened) is None)
         with operator(browser, opened) as page:
-            assert "kept in the recording block-1: replay it to go on" in page.hear("message")["text"]
+            assert "kept in the recording block-1: replay it to go on" in page.hear("message")["message"]
             page.until(lambda frame: frame["act_count"] == 0)
             page.done("replay", name="block-1.recording")
             # the page was lost, so its hand let go softly: that is done again, too

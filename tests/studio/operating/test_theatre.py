@@ -385,7 +385,7 @@ def test_who_opens_a_case_that_was_built_anew_sees_the_new_one_and_so_do_all_oth
         with operator(browser, opened) as other:
             assert shows(other, (6, 5, 4))
             assert page.hear("opened")["box_mm"] == other.opened["box_mm"]
-            assert "this is the new one" in page.hear("message")["text"]
+            assert "this is the new one" in page.hear("message")["message"]
             assert shows(page, (6, 5, 4))
             page.done("take", tool="g")
             assert page.at("press", TOP)["used"]
@@ -404,7 +404,7 @@ def test_what_was_done_on_a_case_that_was_built_anew_is_kept(rebuilt, tmp_path):
             build((6, 5, 4))
             with operator(browser, opened) as other:
                 assert shows(other, (6, 5, 4))
-            while "kept in the recording block-1" not in page.hear("message")["text"]:
+            while "kept in the recording block-1" not in page.hear("message")["message"]:
                 pass
             assert "close_grab" in kinds_in(tmp_path / "block-1.recording")
             page.done("take", tool="g")
@@ -413,7 +413,7 @@ def test_what_was_done_on_a_case_that_was_built_anew_is_kept(rebuilt, tmp_path):
         build((8, 5, 4))
         # nobody looked: who comes next is told
         with operator(browser, opened) as page:
-            assert "kept in the recording block-2" in page.hear("message")["text"]
+            assert "kept in the recording block-2" in page.hear("message")["message"]
 
 
 def test_to_begin_anew_is_to_begin_with_the_case_as_it_is_now(rebuilt, tmp_path):
@@ -421,7 +421,7 @@ def test_to_begin_anew_is_to_begin_with_the_case_as_it_is_now(rebuilt, tmp_path)
     with theatre(case, tmp_path) as (browser, opened), operator(browser, opened) as page:
         assert shows(page, (8, 5, 4))
         build((6, 5, 4))
-        assert "begin anew to see the new one" in page.hear("message")["text"]
+        assert "begin anew to see the new one" in page.hear("message")["message"]
         page.done("begin")
         assert shows(page, (6, 5, 4))
         # one that cannot be read is told, and the session goes on

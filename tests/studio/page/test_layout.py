@@ -5,8 +5,8 @@ import itertools
 import pytest
 
 from tests.studio.page.browsing import browsing, until
-from tests.studio.page.test_cut_short import served  # noqa: F401
 from tests.studio.page.test_operating import Hands
+from tests.studio.page.test_unfinished import served  # noqa: F401
 
 OVER = ["#cut-open", "#two-views", "#hold-last", "#let-go-all", "#second-look", "#tool-hint", ".scene-notices p"]
 COVERED = """(boxes) => [...document.querySelectorAll("canvas.orientation")].flatMap((canvas) => {

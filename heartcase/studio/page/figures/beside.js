@@ -173,9 +173,9 @@ export class Beside {
   /** Where there is no line it is due when there is one. */
   #replay() {
     const name = this.#name;
-    this.#ask({ do: "replay", name, speed: this.speed }, ({ cut_short_s: seconds }) => {
+    this.#ask({ do: "replay", name, speed: this.speed }, ({ shown_s: seconds }) => {
       if (name === this.#name) this.#isDue = false;
-      if (seconds !== undefined) this.does.told({ name: titleOf(name), place: "", message: say("recording_cut_short", { seconds: figure(seconds, 1) }) });
+      if (seconds !== undefined) this.does.told({ name: titleOf(name), place: "", message: say("recording_not_whole", { seconds: figure(seconds, 1) }) });
     });
   }
 

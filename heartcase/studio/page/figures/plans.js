@@ -19,7 +19,7 @@ export class Plans {
   /** @type {readonly string[]} */
   #names = [];
   /** @type {Set<string>} */
-  #cutShort = new Set();
+  #unfinished = new Set();
   /** In the order in which they were chosen. @type {string[]} */
   #chosen = [];
   /** @type {string | null} */
@@ -46,9 +46,9 @@ export class Plans {
     return this.#chosen;
   }
 
-  /** @param {readonly string[]} names the newest first @param {readonly string[]} cutShort those that were never finished */
-  showRecordings(names, cutShort = []) {
-    this.#cutShort = new Set(cutShort);
+  /** @param {readonly string[]} names the newest first @param {readonly string[]} unfinished those that were never finished */
+  showRecordings(names, unfinished = []) {
+    this.#unfinished = new Set(unfinished);
     this.#names = names;
     this.#chosen = this.#chosen.filter((one) => names.includes(one));
     this.#renamed = null;
@@ -87,7 +87,7 @@ export class Plans {
       /** @type {HTMLInputElement | null} */ (find("recordings").querySelector("input[type=text]"))?.select();
     });
     const named = element("span", "name", shown(name));
-    if (this.#cutShort.has(name)) named.append(element("span", "cut-short", say("recording_is_cut_short")));
+    if (this.#unfinished.has(name)) named.append(element("span", "unfinished", say("recording_unfinished")));
     row.append(choose, named, replay, rename);
     return row;
   }
@@ -150,7 +150,7 @@ export class Plans {
       const about = message.about[name];
       for (const problem of message.problems[name] ?? []) remarks.push(`${shown(name)}: ${saidOf(problem)}`);
       if (about === undefined) continue;
-      if (about.cut_short_s !== null) remarks.push(`${shown(name)}: ${say("recording_cut_short", { seconds: figure(about.cut_short_s, 1) })}`);
+      if (about.shown_s !== null) remarks.push(`${shown(name)}: ${say("recording_not_whole", { seconds: figure(about.shown_s, 1) })}`);
       remarks.push(say("plans_about", { name: shown(name), incision: about.incision, time: figure(about.time_s, 2) }));
       if (about.inverted_cell_count) remarks.push(`${shown(name)}: ${say("figures_inverted", { count: figure(about.inverted_cell_count, 0) })}`);
       for (const one of about.problems) remarks.push(`${shown(name)}: ${say("figures_left_out", { name: one.place, why: saidOf(one) })}`);

@@ -224,8 +224,8 @@ function run() {
       tellSize();
     }
     showLine(answer);
-    if (answer.recordings) plans.showRecordings(answer.recordings, answer.cut_short);
-    if (answer.cut_short_s !== undefined) notice("", [{ place: "", message: say("recording_cut_short", { seconds: figure(answer.cut_short_s, 1) }) }]);
+    if (answer.recordings) plans.showRecordings(answer.recordings, answer.unfinished);
+    if (answer.shown_s !== undefined) notice("", [{ place: "", message: say("recording_not_whole", { seconds: figure(answer.shown_s, 1) }) }]);
     if (answer.used === false && answer.id === lettingGo) notice("", [{ place: "", message: say("operate_nothing_held") }]);
   }
 

@@ -10,7 +10,7 @@ export const messages = {
   "recording-busy": "In sie wird gerade aufgenommen: Beenden Sie zuerst die Aufnahme",
   "recording-name-taken": "Eine Aufnahme dieses Namens gibt es schon: Wählen Sie einen anderen",
   "recording-unwritten": "Was getan wurde, lässt sich nicht schreiben",
-  "recording-cut-short": "Sie wurde abgebrochen: Gezeigt werden die ersten {seconds#} s",
+  "recording-not-whole": "Sie ist nicht vollständig: Gezeigt werden die ersten {seconds#} s",
   "recording-other-case": "Diese Aufnahme ist von einem anderen Fall ({of}, {count#} Knoten) als dem, der hier liegt ({nodes#} Knoten): Er wurde anders oder neu gebaut",
   "recording-no-start": "Ihr erster Zustand fehlt: Nichts lässt sich wiederholen",
   "replay-differs": "Es kommt nicht dasselbe heraus wie aufgenommen: Ab Schritt {step#} weicht es ab, dort um bis zu {first#} mm und im Ganzen um {most#} mm; eine andere Fassung von heartcase oder ein anderer Prozessor hat es aufgenommen",

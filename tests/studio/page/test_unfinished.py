@@ -1,4 +1,4 @@
-"""A recording that was cut short, on the page."""
+"""A recording that is not finished, on the page."""
 
 import pytest
 
@@ -11,8 +11,8 @@ from tests.studio.page.browsing import browsing, until
 from tests.studio.page.test_operating import CaseServer
 
 WORDS = {
-    "en-GB": ("cut short", "It was cut short: the first {} s are shown", "."),
-    "de-DE": ("abgebrochen", "Sie wurde abgebrochen: Gezeigt werden die ersten {} s", ","),
+    "en-GB": ("not finished", "It is not whole: the first {} s are shown", "."),
+    "de-DE": ("nicht beendet", "Sie ist nicht vollständig: Gezeigt werden die ersten {} s", ","),
 }
 
 
@@ -39,7 +39,7 @@ def test_it_is_marked_replayed_and_saved(chromium, served, locale):
         tab.locator("#tab-recordings").click()
         row = tab.locator("#recordings li", has_text="torn")
         row.get_by_text(mark, exact=True).wait_for()
-        assert tab.locator("#recordings .cut-short").count() == 1
+        assert tab.locator("#recordings .unfinished").count() == 1
         row.locator("button").first.click()
         tab.locator("#notice-words").get_by_text(words.partition("{")[0]).wait_for()
         shown = page.text("#notice-words")
