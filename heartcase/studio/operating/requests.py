@@ -377,7 +377,7 @@ class Rename(_Asked):
     """Which request."""
     name: _RecordingName
     """One of the names that were given."""
-    to: Annotated[str, Field(pattern=r"^\w[\w ()+,-]{0,79}$")]
+    to: _RecordingName
     """Its new name, without an ending."""
 
 

@@ -45,6 +45,8 @@ __all__ = ["Stage", "open_stage"]
 _SLOWEST_FRAME_S = 1.0 / 30.0
 """How long a frame is to take where the machine does not keep up, s: then time goes slower, not the pictures."""
 _RECORDINGS_MAX = 10_000
+_NAME = re.compile(r"\w[\w ()+,-]{0,79}")
+"""What a recording may be called: a name of its own in its folder, never a path."""
 _KEEP_S = 60.0
 """Longest time that is waited for a recording to be written, s."""
 
@@ -227,9 +229,15 @@ class Stage:
         Raises
         ------
         RecordingError
-            There is no such recording, it is being written, or the name is taken.
+            There is no such recording, it is being written, or the name is none for a recording, or taken.
         """
         path, new = self._out / self.finished(name), self._out / f"{to.strip()}.recording"
+        if not _NAME.fullmatch(to.strip()):
+            raise RecordingError(
+                "a name begins with a letter, a digit or _, and has no more than 80 of these, spaces and ( ) + , -: "
+                "choose another",
+                place="recording",
+            )
         if new.exists():
             raise RecordingError("there is already a recording of this name: choose another", place="recording")
         try:
