@@ -465,10 +465,10 @@ class Simulation(ExcisedTissue, OperatedTissue):
             probe.target = probe.centre
             probe.wrench = np.zeros(6)
         self._stay()
-        holders = " and ".join(instrument.name for instrument in self.instruments)
+        if self.instruments:
+            trouble = f"{trouble} with {', '.join(one.name for one in self.instruments)} in the tissue"
         raise SimulationError(
-            f"the simulation broke down between {self.time_s:.4f} s and {ended_s:.4f} s: {trouble}"
-            f"{f' with {holders} in the tissue' if holders else ''}; pull more slowly or less far, or give a "
-            "smaller step. The state before was restored",
+            f"the simulation broke down between {self.time_s:.4f} s and {ended_s:.4f} s: {trouble}; "
+            "pull more slowly or less far, or give a smaller step. The state before was restored",
             place="simulation",
         )

@@ -95,8 +95,11 @@ def load_session(
         isinstance(entry.command, Cut) for entry in recording.entries[: recording.position]
     ):
         where = "lies inside the case's surface" if header.tissue_sha256 else "fills its cells"
-        message = f"this recording cuts tissue that {where}, and other tissue was given: load the case with "
-        raise RecordingError(message + "needs=('tissue',) and give Case.tissue, or leave it out", place="tissue")
+        raise RecordingError(
+            f"this recording cuts tissue that {where}, and other tissue was given: load the case with "
+            "needs=('tissue',) and give Case.tissue, or leave it out",
+            place="tissue",
+        )
     states = RecordedStates(recording, simulation.model, nothing_cut, step_s=header.step_s)
     simulation.restore(states.snapshot(0))
     if simulation.step_count != header.start_step:

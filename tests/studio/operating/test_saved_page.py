@@ -100,7 +100,9 @@ def test_a_page_that_cannot_be_written_is_told(recorded, tmp_path):  # noqa: F81
     saved.save([])
     assert heard.wait(120.0)
     assert saved.facts["state"] == "failed"
-    assert saved.facts["problems"] == [{"place": "page", "message": "it cannot be written: No such file or directory"}]
+    words = "it cannot be written: No such file or directory"
+    of_kind = {"code": "page-unwritable", "values": {"why": "No such file or directory"}}
+    assert saved.facts["problems"] == [{"place": "page", "message": words} | of_kind]
     saved.close()
 
 

@@ -47,6 +47,13 @@ test("words that every object has are neither places nor kinds", () => {
   }
 });
 
+test("words in a message that are of a kind themselves are German too", () => {
+  language.value = "de";
+  const trouble = { message: "x", code: "trouble-energy", values: { from: "0.5", to: "9" } };
+  assert.match(saidOf({ message: "x", code: "broke-down", values: { from: "1.0", to: "1.1", trouble } }), /\(ihre Energie wuchs von selbst von 0,5 J auf 9 J\)/);
+  assert.match(saidOf({ message: "x", code: "device-lost", values: { why: "odd" } }), /^odd\. Seine Hand/);
+});
+
 test("what has no kind, or one of a newer server, stays as it is", () => {
   language.value = "de";
   assert.equal(saidOf({ message: "odd" }), "odd");

@@ -27,7 +27,7 @@ function seen(message) {
 
 test("recordings keep their names, and what is wrong with the page is said in German", () => {
   language.value = "de";
-  const short = { message: "x", code: "recording-cut-short", values: { seconds: "0.5" } };
+  const short = { message: "x", code: "recording-not-whole", values: { seconds: "0.5" } };
   const facts = { state: "saved", name: "block.html", folder: "out", byte_count: 1e6 };
   assert.match(seen({ ...facts, problems: [{ place: "patch 2", ...short }, { place: "cut", ...short }] }), /patch 2: Sie .*cut: Sie /);
   assert.match(seen({ state: "failed", problems: [{ place: "page", message: "x", code: "page-ended" }] }), /Seite: Was die Seite speichert/);

@@ -3,7 +3,7 @@
 import { messages as german, places as germanPlaces } from "../words/messages_de.js";
 import { language } from "./words.js";
 
-/** @typedef {{message: string, code?: string, values?: Record<string, string>}} Said */
+/** @typedef {{message: string, code?: string, values?: Record<string, string | Said>}} Said */
 
 /** By language; English is what the server says. @type {Record<string, {messages: Record<string, string>, places: Record<string, string>}>} */
 const KNOWN = { de: { messages: german, places: germanPlaces } };
@@ -14,12 +14,13 @@ function known(table, key) {
   return Object.hasOwn(words, key) ? words[key] : undefined;
 }
 
-/** A message with its values put in: numbers with the language's marks. @param {Said} said */
+/** A message with its values put in: numbers with the language's marks. @param {Said} said @returns {string} */
 export function saidOf({ message, code, values }) {
   const template = known("messages", code ?? "");
   if (template === undefined) return message;
   return template.replace(/\{(\w+)(#?)\}/g, (_, name, isNumber) => {
-    const value = String(values?.[name] ?? "");
+    const value = values?.[name] ?? "";
+    if (typeof value !== "string") return saidOf(value);
     return isNumber ? value.replace(/[.,]/g, (mark) => (mark === "." ? "," : ".")) : name === "names" ? value.split(", ").map(nameOf).join(", ") : value;
   });
 }
