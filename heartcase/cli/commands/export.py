@@ -317,7 +317,7 @@ def command(
     if as_json:
         named = {} if model is None else {"model": model}
         facts = {"format": suffix, "bytes": len(made.content)} | named | made.facts
-        echo_json(facts | ({"warnings": made.warnings} if model else {}))
+        echo_json(facts | ({"warnings": made.warnings} if model or suffix == PAGE or recordings else {}))
     else:
         click.echo(f"wrote {made.what} to {output}, {file_size(len(made.content))}")
         for line in made.more:

@@ -270,7 +270,7 @@ def recorded_file(
     made = animation_of(
         recording, case, suffix, level=level, frames_per_second=rate, error_mm=error_mm, is_partial=is_partial
     )
-    return ExportedFile(made.content, made.what, made.facts)
+    return ExportedFile(made.content, made.what, made.facts, made.warnings)
 
 
 ENDINGS = (*WRITERS, *dict.fromkeys(ending for held in MODELS.values() for ending in held), PAGE)

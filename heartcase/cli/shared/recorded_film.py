@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,7 @@ class Animation:
     """What it holds, in words."""
     facts: dict[str, object]
     """What --json adds."""
+    warnings: tuple[str, ...] = ()
 
 
 def animation_of(
@@ -75,8 +76,11 @@ def animation_of(
     tissue = loaded.tissue if opened.header.tissue_sha256 else TissueSamples.everywhere()
     session = load_session(opened, loaded.model, surface=loaded.surface, tissue=tissue)
     if suffix == ".glb":
-        return _glb(session, loaded, frames_per_second, error_mm)
-    return _film(session, loaded, suffix, frames_per_second)
+        made = _glb(session, loaded, frames_per_second, error_mm)
+    else:
+        made = _film(session, loaded, suffix, frames_per_second)
+    warning = opened.partial_warning
+    return made if warning is None else replace(made, warnings=(str(warning),))
 
 
 def _film(session: OperatingSession, case: Case, suffix: str, frames_per_second: float) -> Animation:

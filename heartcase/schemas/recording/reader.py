@@ -37,6 +37,12 @@ class Recording:
     """Whether it was finished, and nothing of it is missing."""
 
     @property
+    def partial_warning(self) -> Problem | None:
+        """What is said where it is shown, of one that is not whole."""
+        words = f"it is not whole: the first {self.seconds:.1f} s are shown"
+        return None if self.is_whole else Problem(self.directory.stem, words)
+
+    @property
     def start_step(self) -> int:
         """Step at which it begins."""
         return self.header.start_step

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PageResult", "fitting_page_of", "page_of", "site_of"]
 
-_NOT_WHOLE = "it is not whole: the first {seconds:.1f} s are shown"
 _TOUR_S = 10.0
 """Simulated time of a tour, about, s: how much of all that is played it counts for."""
 
@@ -44,7 +43,7 @@ class PageResult:
     tours: tuple[str, ...]
     """Titles of the guided tours in it."""
     warnings: tuple[Problem, ...]
-    """What is wrong with tours, of each that is so."""
+    """Which recordings are not whole; what is wrong with tours, of each that is so."""
 
 
 def page_of(
@@ -90,7 +89,7 @@ def page_of(
     assert loaded.surface is not None
     normal_map = load_normal_map(case, loaded.surface, level)
     made = web_page(loaded, shown, played, tours=toured, normal_map=normal_map, frames_per_second=frames_per_second)
-    problems = (*problems, *(each for one in toured for each in one.problems))
+    problems = (*_short(opened), *problems, *(each for one in toured for each in one.problems))
     return PageResult(made, tuple(one.tour.tour.title for one in toured), problems)
 
 
@@ -109,11 +108,10 @@ def fitting_page_of(
     """
     from heartcase.studio.offline.web_page import FRAMES_PER_SECOND
 
-    opened = [(one.stem, open_recording(one, partial=True)) for one in recordings]
-    rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / max([1.0, *(one.seconds for _, one in opened)]))
+    longest = max([1.0, *(open_recording(one, partial=True).seconds for one in recordings)])
+    rate = min(FRAMES_PER_SECOND, (FRAMES_MAX - 2) / longest)
     made = page_of(case, recordings, level=0, frames_per_second=rate, is_partial=True, told=told)
-    short = [Problem(name, _NOT_WHOLE.format(seconds=one.seconds)) for name, one in opened if not one.is_whole]
-    return made.content, [*short, *made.warnings]
+    return made.content, list(made.warnings)
 
 
 def site_of(
@@ -153,7 +151,8 @@ def site_of(
         return [_recorded(name, one, case, frames_per_second) for name, one in mine]
 
     chosen = [SiteCase(case, of, has_tours=tours) for case in cases]
-    return write_site(chosen, out, level=level, frames_per_second=frames_per_second, say=say)
+    made = write_site(chosen, out, level=level, frames_per_second=frames_per_second, say=say)
+    return replace(made, warnings=(*map(str, _short(opened)), *made.warnings))
 
 
 def _opened(recordings: Sequence[Path], frames_per_second: float, *, is_partial: bool) -> list[tuple[str, Recording]]:
@@ -161,6 +160,10 @@ def _opened(recordings: Sequence[Path], frames_per_second: float, *, is_partial:
     for _, one in found:
         check_frame_count(one, frames_per_second)
     return found
+
+
+def _short(opened: Sequence[tuple[str, Recording]]) -> list[Problem]:
+    return [words for _, one in opened if (words := one.partial_warning) is not None]
 
 
 def _parts_told(seconds: Sequence[float], told: Callable[[float], None]) -> list[Callable[[float], None]]:

@@ -191,8 +191,20 @@ def test_each_refusal_is_a_line(case_path, recorded, script, tmp_path, capsys):
     assert "cut short or damaged: this is what is whole of it" in capsys.readouterr().out
     film = tmp_path / "x.glb"
     assert main(["export", str(case_path), "--recording", str(damaged), "--partial", "-o", str(film)]) == 0
-    assert f"to {film}" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert f"to {film}" in printed.out
+    warning = f"{damaged.stem}: it is not whole: the first 0.2 s are shown"
+    assert f"warning: {warning}" in printed.err
     film.unlink()
+    page, site = ["-o", str(tmp_path / "x.html")], ["--web", "-o", str(tmp_path / "site")]
+    for where in (["-o", str(film)], page, site):
+        for shown, warnings in ((damaged, [warning]), (recorded, [])):
+            options = ["--recording", str(shown), "--partial", "--no-tours", "--json", *where]
+            assert main(["export", str(case_path), *options]) == 0
+            assert json.loads(capsys.readouterr().out)["warnings"] == warnings
+    for made in (film, tmp_path / "x.html"):
+        made.unlink()
+    shutil.rmtree(tmp_path / "site")
     assert main(["export", str(case_path), "--partial", "-o", str(film)]) == 2
     assert "--partial: serves only with --recording" in capsys.readouterr().err
     assert main(["validate", str(damaged)]) == 1
