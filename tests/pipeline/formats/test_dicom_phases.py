@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydicom import uid
 
 from heartcase.cli.main import cli
-from heartcase.pipeline.formats.dicom import tags as dicom_tags
+from heartcase.pipeline.formats.dicom import file_meta
 from heartcase.pipeline.formats.dicom.headers import ImageSeries
 from heartcase.pipeline.formats.dicom.phases import stack_groups
 from heartcase.pipeline.formats.dicom.stack import Slice
@@ -196,7 +196,7 @@ def test_a_deflated_file_does_not_fill_the_memory(tmp_path: Path, monkeypatch: p
     body = zlib.decompress(content[start:], -15)
     packer = zlib.compressobj(wbits=-15)
     path.write_bytes(content[:start] + packer.compress(body + bytes(10_000_000)) + packer.flush())
-    monkeypatch.setattr(dicom_tags, "INFLATED_LIMIT", 5_000_000)
+    monkeypatch.setattr(file_meta, "INFLATED_LIMIT", 5_000_000)
     assert path.stat().st_size < 50_000
     with pytest.raises(ScanError, match="1 DICOM file is cut short or damaged"):
         read_scan(tmp_path)

@@ -6,8 +6,7 @@ import decimal
 import logging
 import re
 import warnings
-import zlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO, Any
@@ -17,11 +16,10 @@ import pydicom
 from pydicom.datadict import keyword_for_tag
 
 from heartcase.pipeline.formats.dicom.archive import SourceFile
+from heartcase.pipeline.formats.dicom.file_meta import check_deflated
 
 __all__ = [
-    "INFLATED_LIMIT",
     "Header",
-    "check_deflated",
     "decimals_of",
     "has_preamble",
     "numbers_of",
@@ -34,12 +32,6 @@ __all__ = [
     "values_of",
     "words_of",
 ]
-
-DEFLATED = b"1.2.840.10008.1.2.1.99"
-INFLATED_LIMIT = 2**31
-"""Bytes to which a deflated file may expand."""
-_LONG = frozenset([b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"])
-"""Value representations whose lengths are written in four bytes (DICOM PS3.5, section 7.1.2)."""
 
 
 @contextmanager
@@ -83,7 +75,7 @@ def read_header(file: SourceFile, tags: list[str]) -> Header | None:
         preamble = has_preamble(stream)
         if preamble is None:
             return None
-        check_deflated(stream, _allow)
+        check_deflated(stream)
         dataset = pydicom.dcmread(stream, stop_before_pixels=True, specific_tags=list(tags), force=not preamble)
     media_class = text_of(getattr(dataset, "file_meta", None) or {}, "MediaStorageSOPClassUID")
     return Header(values_of(dataset), preamble, media_class)
@@ -108,66 +100,12 @@ def values_of(dataset: Any, keywords: Collection[str] | None = None) -> dict[str
 def read_data_set(file: SourceFile) -> Any:
     """A whole file; one without file meta information is taken as implicit little endian, DICOM's default."""
     with file.open("rb") as stream:
-        check_deflated(stream, _allow)
+        check_deflated(stream)
         dataset = pydicom.dcmread(stream, force=True)
     if not hasattr(dataset, "file_meta") or "TransferSyntaxUID" not in dataset.file_meta:
         dataset.ensure_file_meta()
         dataset.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
     return dataset
-
-
-def check_deflated(stream: IO[bytes], allowed: Callable[[int], None]) -> None:
-    """Look how far a deflated data set expands, before all of it is read; leaves the stream at its start.
-
-    Parameters
-    ----------
-    stream
-        A file, at its start.
-    allowed
-        Called with each count of bytes that there are at least; raises where they are too many.
-
-    Raises
-    ------
-    ValueError
-        The elements of the file meta information do not follow one another.
-    """
-    start, is_deflated = _meta_end(stream)
-    if is_deflated:
-        stream.seek(start)
-        inflater, size = zlib.decompressobj(-zlib.MAX_WBITS), 0
-        while (block := stream.read(65536)) and not inflater.eof:
-            while block and not inflater.eof:
-                size += len(inflater.decompress(block, 2**24))
-                block = inflater.unconsumed_tail
-                allowed(size)
-    stream.seek(0)
-
-
-def _meta_end(stream: IO[bytes]) -> tuple[int, bool]:
-    """Where the file meta information ends, and whether it says that what follows is deflated.
-
-    Its elements are gone through, as a reader does: the length that it states may be wrong, or missing.
-    """
-    is_deflated, place = False, 132 if stream.read(132)[128:] == b"DICM" else 0
-    while True:
-        stream.seek(place)
-        head = stream.read(12)
-        if len(head) < 8 or head[:2] != b"\x02\x00":
-            return place, is_deflated
-        is_long = head[4:6] in _LONG
-        length = int.from_bytes(head[8:12] if is_long else head[6:8], "little")
-        value = place + (12 if is_long else 8)
-        if not head[4:6].isalpha() or length == 2**32 - 1:
-            raise ValueError("the file meta information is damaged")
-        if head[2:4] == b"\x10\x00":
-            stream.seek(value)
-            is_deflated = stream.read(min(length, 64)).strip(b"\0 ") == DEFLATED
-        place = value + length
-
-
-def _allow(size: int) -> None:
-    if size > INFLATED_LIMIT:
-        raise ValueError("expands beyond the limit")
 
 
 def sequence_of(holder: Any, keyword: str) -> Any:

@@ -12,20 +12,15 @@ from typing import IO, Any
 
 from pydicom.uid import UID_dictionary
 
-from heartcase.pipeline.formats.dicom.tags import INFLATED_LIMIT, text_of
+from heartcase.pipeline.formats.dicom.file_meta import DEFLATED, INFLATED_LIMIT, LONG, UNDEFINED, read_file_meta
+from heartcase.pipeline.formats.dicom.tags import text_of
 
 __all__ = ["is_other_object"]
 
 DICOMDIR = "1.2.840.10008.1.3.10"
 """Media storage directory: it has no SOP class of its own in its data set."""
-DEFLATED = b"1.2.840.10008.1.2.1.99"
 BIG_ENDIAN = b"1.2.840.10008.1.2.2"
-LONG = frozenset((b"OB", b"OD", b"OF", b"OL", b"OV", b"OW", b"SQ", b"SV", b"UC", b"UN", b"UR", b"UT", b"UV"))
-"""Value representations whose length has four bytes after two that are reserved."""
-UNDEFINED = 0xFFFFFFFF
 ITEM, ITEM_END, SEQUENCE_END = (0xFFFE, 0xE000), (0xFFFE, 0xE00D), (0xFFFE, 0xE0DD)
-META_END = 144
-"""Where the length of the file meta information counts from: preamble, prefix, and the element that holds it."""
 DEEPEST = 64
 """Sequences in sequences that are followed."""
 
@@ -63,13 +58,12 @@ def is_other_object(stream: IO[bytes], header: Any, *, media_class: str) -> bool
 
 
 def _ends_with_the_file(stream: IO[bytes]) -> bool:
-    start = stream.read(2048)
     body: IO[bytes] = stream
-    place = 132
-    if start[132:136] == b"\x02\x00\x00\x00":
-        place = META_END + int.from_bytes(start[140:144], "little")
-    meta = start[:place]
-    if DEFLATED in meta:
+    try:
+        place, syntax = read_file_meta(stream)
+    except ValueError:
+        return False
+    if syntax == DEFLATED:
         stream.seek(place)
         inflater = zlib.decompressobj(-zlib.MAX_WBITS)
         try:
@@ -78,14 +72,14 @@ def _ends_with_the_file(stream: IO[bytes]) -> bool:
             return False
         if not inflater.eof:
             return False
-    # the first element tells by its letters whether value representations are written
-    is_big = BIG_ENDIAN + b"\0" in meta and DEFLATED not in meta
     size = body.seek(0, io.SEEK_END)
     body.seek(place)
-    first = body.read(6)
+    # the first element tells by its letters whether value representations are written
+    letters = body.read(6)[4:6]
     body.seek(place)
+    is_explicit = letters.isalpha() and letters.isupper()
     try:
-        _Walk(body, size, is_explicit=first[4:6].isalpha() and first[4:6].isupper(), is_big=is_big).data_set(size)
+        _Walk(body, size, is_explicit=is_explicit, is_big=syntax == BIG_ENDIAN).data_set(size)
     except (_CutShort, RecursionError):
         return False
     return True

@@ -19,8 +19,8 @@ import pydicom
 from pydicom.pixels import iter_pixels
 from pydicom.sr.coding import Code
 
+from heartcase.pipeline.formats.dicom.file_meta import check_deflated
 from heartcase.pipeline.formats.dicom.headers import is_dicom, quiet_pydicom
-from heartcase.pipeline.formats.dicom.tags import check_deflated
 from heartcase.pipeline.formats.labels.segments import (
     LabelVolume,
     SegmentInfo,
