@@ -54,7 +54,7 @@ export const operating = {
   branch_stitch_one: "1 Stich oder Stichreihe",
   branch_stitch_several: "{count} Stiche oder Stichreihen",
   operate_tied: "Geknotete Stiche: {count}. Der Faden zieht mit höchstens {force} N.",
-  operate_tied_less: "Am weitesten von der Vorgabe entfernt: {name}, gezogen mit {force} N statt {asked} N. Die Enden trafen sich vorher, oder der Faden ist so steif, wie der Zeitschritt zulässt. Weniger Zug wählen oder später knoten.",
+  operate_tied_less: "Am weitesten von der Vorgabe entfernt: {name}, gezogen mit {force} N statt {asked} N. Haben sich die Enden getroffen, ist alles in Ordnung. Klaffen sie noch, war der Faden so steif, wie der Zeitschritt zulässt: weniger Zug wählen oder später knoten.",
   recording_not_whole: "Sie ist nicht vollständig: Gezeigt werden die ersten {seconds} s.",
   recording_unfinished: "nicht beendet",
   recording_opening: "Die Aufnahme {name} wird geöffnet …",

@@ -54,7 +54,7 @@ export const operating = {
   branch_stitch_one: "1 stitch or row",
   branch_stitch_several: "{count} stitches or rows",
   operate_tied: "Tied stitches: {count}. The thread pulls with {force} N at most.",
-  operate_tied_less: "Furthest from its tension: {name}, pulled with {force} N instead of {asked} N. Its ends met first, or the thread is as stiff as the time step allows. Draw with less, or tie later.",
+  operate_tied_less: "Furthest from its tension: {name}, pulled with {force} N instead of {asked} N. Where its ends have met nothing is wrong. Where they still gape, the thread was as stiff as the time step allows: draw with less, or tie later.",
   recording_not_whole: "It is not whole: the first {seconds} s are shown.",
   recording_unfinished: "not finished",
   recording_opening: "Opening the recording {name} …",
